@@ -34,7 +34,7 @@ class Element:
     where: str
 
     def error(self, message: str) -> KinfeasError:
-        """Return an error with the place of this element."""
+        """Return an error that begins with the file and path of this element."""
         return KinfeasError(f"{self.where}: {message}")
 
     def children(self, tag: str) -> "list[Element]":
@@ -89,7 +89,7 @@ class Element:
         limit: float = LARGEST,
         minimum: float = -math.inf,
     ) -> float:
-        """Return an attribute of one number of at least `minimum`; other arguments as above."""
+        """Return an attribute of one number of at least `minimum`; the rest is as in `vector`."""
         (value,) = self.vector(attribute, 1, None if default is None else (default,), limit)
         if value < minimum:
             raise self.error(f"{attribute!r} must be at least {minimum:g}, not {value:g}")
@@ -140,7 +140,7 @@ def numbers_text(numbers: Iterable[float], digits: int | None = None) -> str:
 
 
 def set_origin(element: Any, pose: Array, digits: int | None = None) -> None:
-    """Replace the <origin> of an XML element by `pose`, shape (7,); digits as above."""
+    """Replace the <origin> of an XML element by `pose`, (7,); digits as in `numbers_text`."""
     for old in element.findall("origin"):
         element.remove(old)
     xyz, angles = numbers_text(pose[:3], digits), numbers_text(rpy(pose), digits)
@@ -149,16 +149,15 @@ def set_origin(element: Any, pose: Array, digits: int | None = None) -> None:
 
 _LFS = b"version https://git-lfs"
 _NAME = re.compile(rb"<name>\s*([^<\s]+)\s*</name>")  # of a package.xml
-_MAX_PACKAGE_BYTES = 1_000_000  # of which the name is read
+_MAX_PACKAGE_BYTES = 1_000_000  # part of a package.xml in which the name is searched
 
 
 def find_mesh(mesh: Element, folder: Path, formats: Sequence[str]) -> Path:
     """Return the file of a <mesh>.
 
-    Its `filename` is a path relative to the URDF, a `file://` address or `package://NAME/...`.
-    Packages are those whose package.xml has the name, above the URDF or below ROS_PACKAGE_PATH,
-    `share/NAME` of AMENT_PREFIX_PATH, and folders NAME above the URDF or beside one of these.
-    `folder` is the absolute path of the URDF's folder, `formats` are suffixes such as `.stl`.
+    Its `filename` is a path relative to the URDF, a `file://` address or `package://NAME/...`. The
+    package is the first of `packages` that contains the file. `folder` is the absolute path of the
+    URDF's folder, `formats` are suffixes such as `.stl`.
     """
     name = mesh.text("filename")
     if not name.lower().endswith(tuple(formats)):
@@ -191,7 +190,12 @@ def find_mesh(mesh: Element, folder: Path, formats: Sequence[str]) -> Path:
 
 
 def packages(name: str, folder: Path) -> Iterator[Path]:
-    """Yield folders that may be the package `name` of a file in `folder`, an absolute path."""
+    """Yield folders that may be the package `name` of a file in `folder`, an absolute path.
+
+    These are folders at or above `folder` and below ROS_PACKAGE_PATH whose package.xml has this
+    name, folders of this name in ROS_PACKAGE_PATH and in `share` of AMENT_PREFIX_PATH, and those in
+    `folder` or a folder above it.
+    """
     above = (folder, *folder.parents)
     for parent in above:
         if _package_name(parent / "package.xml") == name:

@@ -14,8 +14,8 @@ _THINNEST = 1e-4  # m, of a shrunk shape
 def fcl_object(part: Shape | Array, less: float = 0.0) -> Any:
     """Return a primitive at its pose, or the triangles of a mesh, shape (t, 3, 3), metres.
 
-    `less` shrinks a primitive in total along each axis, metres. Two that are shrunk by `less` touch
-    where they overlap by more than that.
+    `less` is the length by which a primitive shrinks along each of its axes, metres. Two shrunk
+    primitives touch where the original ones overlap by more than `less`.
     """
     if isinstance(part, Shape):
         kinds = {"box": fcl.Box, "cylinder": fcl.Cylinder, "sphere": fcl.Sphere}

@@ -19,7 +19,7 @@ from kinfeas.robots.urdf_file import parse_urdf
 def load_robot(name_or_path: str | Path) -> Robot:
     """Return the robot of an entry point (`pr2`) or of a folder (`robots/mine`).
 
-    The `robot.yaml` in the folder, which may be named as well, has the keys of `spec.RobotSpec`.
+    Its file `robot.yaml`, whose path is accepted as well, has the keys of `spec.RobotSpec`.
 
     Raises:
         KinfeasError: If there is no such robot, its YAML or URDF is wrong, or a URDF is named in
@@ -124,7 +124,7 @@ def _arm_joint(spec: RobotSpec, urdf: Urdf, joint: Joint, source: str) -> ArmJoi
 
 
 def _is_periodic(urdf: Urdf, leader: Joint) -> bool:
-    """Return whether the joints that mimic a continuous one are back after its full turn."""
+    """Return whether a full turn of a continuous joint brings all joints that mimic it back."""
     followers = ((joint, *urdf.followed(joint)) for joint in urdf.joints.values())
     return all(
         joint.kind != "prismatic" and scale.is_integer()

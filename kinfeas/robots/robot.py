@@ -39,7 +39,7 @@ class Base(BaseSpec):
 
 @dataclass(frozen=True)
 class ArmJoint:
-    """A joint that IK moves; soft limits in rad or m, infinite if continuous; velocity limit."""
+    """A joint that IK moves: soft limits, rad or m, infinite if continuous, and velocity limit."""
 
     name: str
     lower: float
@@ -61,14 +61,14 @@ class Robot:
     urdf: Urdf  # links and joints of that file
     ee_frame: str  # link that motions move and IK places
     tool_tip: Array  # position of the tool tip in the EE frame, shape (3,), metres
-    gripper_rotation: Array  # quaternion xyzw, shape (4,): R_world_ee = R_world_gripper * it
+    gripper_rotation: Array  # R_gripper_ee from the common gripper convention, xyzw, shape (4,)
     base: Base  # drive and limits of the base
     arm: tuple[ArmJoint, ...]  # joints that IK moves, from the root to the EE
-    fixed_joints: dict[str, float]  # positions of other joints but those that mimic the arm's
+    fixed_joints: dict[str, float]  # positions of all other joints that mimic no joint of the arm
     home: dict[str, Array]  # configurations of the arm, (j,), one of them `home`
     reach: Reach  # heights of EE goals
     pose_tolerance: PoseTolerance | None  # error that counts as feasible; None for exact IK
-    ignored_collisions: frozenset[frozenset[str]]  # links that may touch, not only adjacent ones
+    ignored_collisions: frozenset[frozenset[str]]  # pairs that may touch; adjacent links always may
     gripper: GripperSpec | None  # finger joints and their positions; None without a gripper
     counterbalanced: frozenset[str]  # arm joints whose gravity load is carried by springs
     max_gravity_load: float | None  # fraction of the effort limits; None for no limit
@@ -95,9 +95,10 @@ class Robot:
 
     @cached_property
     def finite_joint_limits(self) -> tuple[Array, Array]:
-        """Limits of random starts, at most one turn wide, so that there is room in both directions.
+        """Joint limits for random starts, lower and upper, each of shape (j,), rad or m.
 
-        They lie about 0 for continuous joints, about the middle of the range for others.
+        Rotating joints have at most one turn about 0 if continuous, else about the middle of the
+        range, so that there is room in both directions.
         """
         lower, upper = self.joint_limits
         slides = np.array([self.urdf.joints[joint.name].kind == "prismatic" for joint in self.arm])
@@ -130,7 +131,7 @@ def joint_displacement(robot: Robot, before: Array, after: Array) -> Array:
 def exceeds_joint_velocity(
     robot: Robot, before: Array, after: Array, dt: float
 ) -> NDArray[np.bool_]:
-    """Return whether a joint, shape (..., j), exceeds its velocity limit in `dt` seconds, (...)."""
+    """Return whether any joint exceeds its velocity limit in `dt` seconds, (..., j) -> (...)."""
     longest = robot.max_joint_velocity * dt * _ROUNDING
     return pose_kernels.moves_farther(before, after, robot.continuous, longest)
 

@@ -119,7 +119,7 @@ class Urdf:
 
     @cached_property
     def on(self) -> dict[str, list[Joint]]:
-        """The joints whose parent is each link, in the file's order."""
+        """Joints by the name of their parent link, in the file's order."""
         joints: dict[str, list[Joint]] = {link: [] for link in self.links}
         for joint in self.joints.values():
             joints[joint.parent].append(joint)
@@ -127,7 +127,7 @@ class Urdf:
 
     @cached_property
     def rigid(self) -> dict[str, frozenset[str]]:
-        """The links that are joined rigidly to each link, itself included."""
+        """For each link, the links that are joined to it rigidly, itself included."""
         groups: dict[str, frozenset[str]] = {}
         for base in (self.root, *(joint.child for joint in self.joints.values() if joint.moves)):
             group = [base]
@@ -149,15 +149,16 @@ class Urdf:
         return tuple(reversed(path))
 
     def below(self, joint: str) -> frozenset[str]:
-        """Return the links that the joint of this name carries."""
+        """Return the links that the joint of this name moves."""
         return frozenset(descendants(self.on, self.joints[joint].child))
 
     def link_poses(
         self, positions: Mapping[str, float], root_pose: Array = IDENTITY
     ) -> dict[str, Array]:
-        """Return the poses of all links in the frame that `root_pose` is in, shape (7,) each.
+        """Return the poses of all links by name, shape (7,) each, in the frame of `root_pose`.
 
-        Positions are rad or m by joint; by default mimic joints follow, and others are at `rest`.
+        Positions are rad or m by the name of the joint; mimic joints without a position follow
+        their leader, and other joints without one are at `rest`.
         """
         poses, links = {self.root: root_pose}, [self.root]
         for link in links:
@@ -180,7 +181,7 @@ class Urdf:
 
 
 def descendants(on: Mapping[str, list[Joint]], link: str) -> list[str]:
-    """Return a link and all links below it, where joints are listed by their parent."""
+    """Return a link and all links below it; `on` has the joints by their parent link."""
     links = [link]
     for name in links:
         links += [joint.child for joint in on[name]]

@@ -18,7 +18,7 @@ from kinfeas.robots.urdf import Joint, JointKind, Link, Mimic, Shape, Urdf, desc
 MOMENTS = {"ixx": (0, 0), "iyy": (1, 1), "izz": (2, 2), "ixy": (0, 1), "ixz": (0, 2), "iyz": (1, 2)}
 """Attributes of <inertia>, and their row and column."""
 
-SLACK = 1e-6  # share of a principal moment that counts as rounding
+SLACK = 1e-6  # fraction of a principal moment that counts as rounding
 _MAX_MASS, _MAX_MOMENT = 1e5, 1e7  # kg and kg m^2
 
 _BASE_JOINTS = ("planar", "floating")
@@ -35,10 +35,10 @@ def read_robot_xml(path: Path) -> Element:
 
 
 def without_base_joints(robot: Element) -> Element:
-    """Return an element <robot> from which links above the base were removed.
+    """Remove the links above the base from an element <robot>, and return it.
 
-    These are bare frames down to the last planar or floating joint, which stands for the motion of
-    the base.
+    These are links without shapes, from the root down to the last planar or floating joint, which
+    represents the motion of the base.
     """
     links = {link.get("name"): link for link in robot.xml.findall("link")}
     on: dict[Any, list[Any]] = defaultdict(list)
