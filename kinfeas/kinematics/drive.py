@@ -35,7 +35,7 @@ def world_twist(base: Base, base_pose: Array, velocity: Array, dt: float) -> Arr
 
     The velocity is forward, left (m/s) and angular (rad/s); other arguments as in `base_twist`.
     """
-    return _world_twist(base_pose, velocity, _turned_first(base, dt), TWIST)
+    return _world_twist(base_pose, velocity, _turn_seconds(base, dt), TWIST)
 
 
 def base_velocity(base: Base, base_pose: Array, twist: Array, dt: float) -> Array:
@@ -43,7 +43,7 @@ def base_velocity(base: Base, base_pose: Array, twist: Array, dt: float) -> Arra
 
     The inverse of `world_twist`, without the components that a base on a floor cannot have.
     """
-    seconds = _turned_first(base, dt)
+    seconds = _turn_seconds(base, dt)
     return _base_velocity(base_pose, twist, seconds, TWIST[:3])
 
 
@@ -62,7 +62,8 @@ def _limits(base: Base) -> Array:
     return np.array([base.max_velocity, base.max_rotation])
 
 
-def _turned_first(base: Base, dt: float) -> float:
+def _turn_seconds(base: Base, dt: float) -> float:
+    """Return the seconds for which a base rotates before it drives along its new heading."""
     return 0.0 if base.drive == "omnidirectional" else dt
 
 

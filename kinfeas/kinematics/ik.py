@@ -245,16 +245,16 @@ def _reach(chain: Chain, middle: Array, half: Array) -> Array:
     first = int(turning[0]) if len(turning) else len(tree.variable) - 1
     centre, orientation, radius = np.zeros(3), np.eye(3), 0.0
     for i in range(len(tree.variable)):
-        slide = float(tree.multiplier[i] * middle[tree.variable[i]] + tree.bias[i])
-        play = float(abs(tree.multiplier[i]) * half[tree.variable[i]])
+        position = float(tree.multiplier[i] * middle[tree.variable[i]] + tree.bias[i])
+        half_range = float(abs(tree.multiplier[i]) * half[tree.variable[i]])
         if i <= first:
             centre = centre + orientation @ tree.offset[i]
             orientation = orientation @ tree.rotation[i]
             if tree.prismatic[i]:
-                centre, radius = centre + orientation[:, 2] * slide, radius + play
+                centre, radius = centre + orientation[:, 2] * position, radius + half_range
         else:
             radius += float(np.linalg.norm(tree.offset[i]))
-            radius += abs(slide) + play if tree.prismatic[i] else 0.0
+            radius += abs(position) + half_range if tree.prismatic[i] else 0.0
     return np.array([*centre, radius])
 
 

@@ -135,7 +135,7 @@ class Memory(NamedTuple):
     """Memory of a search, allocated once for a whole batch."""
 
     scratch: Scratch
-    touching: CollisionScratch
+    collision: CollisionScratch
     seeded: Limits  # joint limits, widened to the seed where it is beyond, since joints cannot jump
     near: Limits  # limits within `seeded` and within `max_joint_step` of the seed
     guided: Limits  # limits within `near` and within `max_joint_step` of where GUIDED begins
@@ -152,7 +152,7 @@ def _solve_from_seed(problem, query, max_joint_step, allow_reconfiguration, memo
     scratch, q, seeded = memory.scratch, memory.scratch.trial, memory.seeded
     stepwise = len(max_joint_step) > 0
     guided = stepwise and len(query.guide) > 0 and not math.isnan(query.guide[0, 0])
-    wanted = (
+    enabled = (
         guided,  # GUIDED
         stepwise and len(problem.centering) > 0,  # CENTRED
         stepwise,  # NEAR
@@ -168,8 +168,8 @@ def _solve_from_seed(problem, query, max_joint_step, allow_reconfiguration, memo
         return False
     if stepwise:
         _write_near(seeded, q, max_joint_step, memory.near)
-    for attempt in range(len(wanted)):
-        if not wanted[attempt]:
+    for attempt in range(len(enabled)):
+        if not enabled[attempt]:
             continue
         limits = memory.near if attempt <= NEAR else problem.limits
         if attempt == GUIDED:
@@ -310,22 +310,22 @@ def _close_enough(problem, metres, radians):
 @inlined
 def _free(problem, query, q, memory):
     """Return whether joint positions are free of collisions and can be held."""
-    collision, touching = problem.collision, memory.touching
-    if _collides(collision, problem.check_collision, q, touching, *query.around):
+    model, scratch = problem.collision, memory.collision
+    if _collides(model, problem.check_collision, q, scratch, *query.around):
         return False
-    return len(problem.load) == 0 or not overloads(collision.tree, problem.load, q, touching)
+    return len(problem.load) == 0 or not overloads(model.tree, problem.load, q, scratch)
 
 
 @inner
-def _collides(collision, with_itself, q, touching, pose, size, cylinder):
-    if with_itself and touches_itself(collision, q, touching):
+def _collides(model, with_itself, q, scratch, pose, size, cylinder):
+    if with_itself and touches_itself(model, q, scratch):
         return True
     if len(pose) == 0:
         return False
     if not with_itself:
-        place_shapes(collision, q, touching)
-    around = bounds(collision, True, touching)
-    return touches_solids(collision, True, around, pose, size, cylinder, touching)
+        place_shapes(model, q, scratch)
+    around = bounds(model, True, scratch)
+    return touches_solids(model, True, around, pose, size, cylinder, scratch)
 
 
 @inlined

@@ -201,13 +201,13 @@ def place_bodies(tree, q, scratch):
     motion, bodies, origins = scratch.motion, scratch.bodies, scratch.origins
     place_joints(tree, q, motion)
     for i in range(len(tree.variable)):
-        up = tree.parent[i]
+        parent = tree.parent[i]
         for r in range(3):
             a, b, c = 1.0 if r == 0 else 0.0, 1.0 if r == 1 else 0.0, 1.0 if r == 2 else 0.0
             origin = 0.0
-            if up >= 0:
-                a, b, c = bodies[up, r, 0], bodies[up, r, 1], bodies[up, r, 2]
-                origin = origins[up, r]
+            if parent >= 0:
+                a, b, c = bodies[parent, r, 0], bodies[parent, r, 1], bodies[parent, r, 2]
+                origin = origins[parent, r]
             origin += a * tree.offset[i, 0] + b * tree.offset[i, 1] + c * tree.offset[i, 2]
             a, b, c = turn_row(a, b, c, tree.rotation[i], motion[i, 0], motion[i, 1])
             bodies[i, r, 0], bodies[i, r, 1], bodies[i, r, 2] = a, b, c

@@ -72,7 +72,7 @@ def _scan_batch(base, solids, bands, cosine, sine, max_range, ranges):
 @inlined
 def _scan(prism, bands, cosine, sine, max_range, ranges):
     """Shorten the ranges of one row, shape (b, beams), that end at a solid."""
-    turn_x, turn_y, x, y, radius = prism[0], prism[1], prism[2], prism[3], prism[9]
+    axis_x, axis_y, x, y, radius = prism[0], prism[1], prism[2], prism[3], prism[9]
     squared, beams = x * x + y * y, ranges.shape[1]
     if squared >= square(max_range + radius):
         return
@@ -83,15 +83,15 @@ def _scan(prism, bands, cosine, sine, max_range, ranges):
         half = math.asin(radius / math.sqrt(squared)) + 1e-9
         per_beam = beams / (2.0 * np.pi)
         first, last = math.ceil((middle - half) * per_beam), math.floor((middle + half) * per_beam)
-    u, v = turn_x * x + turn_y * y, turn_x * y - turn_y * x
+    u, v = axis_x * x + axis_y * y, axis_x * y - axis_y * x
     for number in range(first, last + 1):
         j = number % beams
         if prism[6] > 0.0:
             length = _until_circle(x, y, square(prism[6]), cosine[j], sine[j])
         else:
-            forward = turn_x * cosine[j] + turn_y * sine[j]
-            left = turn_x * sine[j] - turn_y * cosine[j]
-            length = _until_rectangle(u, v, prism[4:6], forward, left)
+            along = axis_x * cosine[j] + axis_y * sine[j]
+            across = axis_x * sine[j] - axis_y * cosine[j]
+            length = _until_rectangle(u, v, prism[4:6], along, across)
         for b in range(len(bands)):
             if prism[7] < bands[b, 1] and prism[8] > bands[b, 0]:
                 ranges[b, j] = min(ranges[b, j], length)

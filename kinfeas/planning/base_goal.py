@@ -113,24 +113,24 @@ class BaseGoalPlanner:
         ends, arms = self._ends(goal, _later(solids, np.array([float(arrival)])))
         if not len(ends):
             return None
-        leave = np.abs(self._displacement(joints, self._rests)).max(axis=1)
-        reach = np.abs(self._displacement(self._rests[:, np.newaxis], arms)).max(axis=2)
-        near = int((leave + reach.min(axis=1)).argmin())
+        from_start = np.abs(self._displacement(joints, self._rests)).max(axis=1)
+        to_ends = np.abs(self._displacement(self._rests[:, np.newaxis], arms)).max(axis=2)
+        near = int((from_start + to_ends.min(axis=1)).argmin())
         start = np.array([*base_pose[:2], float(yaw(base_pose))])
         used, best, fewest = np.zeros(len(ends)), None, np.inf
         for attempt in settings.attempts:
             rest = self._small if attempt.small else near
             arm = self._rests[rest], attempt.reach
-            cost = settings.joint_cost * reach[rest] + used
+            cost = settings.joint_cost * to_ends[rest] + used
             corners, end = self._drive(start, ends, cost, arm, solids.wider(attempt.margin))
             if end < 0:
                 continue
             corners = np.vstack([start, corners, ends[end]])
             base = _smooth(corners, attempt.rounding, settings.step)
-            path, touching = self._with_arm(base, (joints, arm[0], arms[end]), solids)
-            if touching < fewest:
-                best, fewest = path, touching
-            if not touching:
+            path, blocked = self._with_arm(base, (joints, arm[0], arms[end]), solids)
+            if blocked < fewest:
+                best, fewest = path, blocked
+            if not blocked:
                 break
             used[end] += settings.used
         if best is not None:
@@ -195,7 +195,7 @@ class BaseGoalPlanner:
         model, pose = self.solver.collision, planar_pose(*base.T)
         among = _later(solids.wider(self.settings.margin), self._times(base))
 
-        def touching(arm: Array, rows: NDArray[np.bool_]) -> int:
+        def blocked(arm: Array, rows: NDArray[np.bool_]) -> int:
             touches = collides(model, arm, pose[rows], among.of(np.flatnonzero(rows))).any(axis=1)
             return int(np.sum(~self.solver.admissible(arm) | touches))
 
@@ -206,14 +206,14 @@ class BaseGoalPlanner:
             for unfold in self.settings.unfold:
                 fraction = 1.0 - _eased(away[half] / min(unfold, s[-1] / 2.0))
                 unfolded = rest + fraction[:, np.newaxis] * self._displacement(rest, other)
-                if (count := touching(unfolded, half)) < fewest:
+                if (count := blocked(unfolded, half)) < fewest:
                     fewest, arm[half] = count, unfolded
                 if not count:
                     break
             total += fewest
         if total:
             direct = begin + _eased(s / s[-1])[:, np.newaxis] * self._displacement(begin, end)
-            if (count := touching(direct, np.ones_like(first))) < total:
+            if (count := blocked(direct, np.ones_like(first))) < total:
                 total, arm = count, direct
         return self._path(base, pose, arm), total
 

@@ -58,20 +58,20 @@ def lattice_moves(*, omnidirectional: bool) -> NDArray[np.int64]:
     moves = []
     for heading in range(LATTICE.headings):
         angle = _TURN * heading
-        each = [(0, 0, side) for side in (-1, 1)]
+        steps = [(0, 0, rotation) for rotation in (-1, 1)]
         if omnidirectional:
             around = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
-            each += [(i, j, side) for i, j in around for side in (-1, 0, 1)]
+            steps += [(i, j, rotation) for i, j in around for rotation in (-1, 0, 1)]
         else:
             reach = 2.2 if heading % 2 else 1.4  # to a corner, or as in a knight's move
             i, j = (round(reach * f(angle)) for f in (np.cos, np.sin))
-            each += [(i, j, side) for side in (-1, 0, 1)] + [(-i, -j, 0)]
+            steps += [(i, j, rotation) for rotation in (-1, 0, 1)] + [(-i, -j, 0)]
         costs = []
-        for i, j, side in each:
+        for i, j, rotation in steps:
             aside = 1.0 - math.cos(math.atan2(j, i) - angle) if i or j else 0.0
             length = LATTICE.cell * math.hypot(i, j) * (1.0 + LATTICE.sideways * aside)
-            costs.append(round(1000 * max(length, LATTICE.lever * _TURN * abs(side))))
-        moves.append([(*move, cost) for move, cost in zip(each, costs, strict=True)])
+            costs.append(round(1000 * max(length, LATTICE.lever * _TURN * abs(rotation))))
+        moves.append([(*step, cost) for step, cost in zip(steps, costs, strict=True)])
     return np.array(moves)
 
 

@@ -138,11 +138,11 @@ class BasePathPlanner:
         for expander in self._expanders:
             beam = expander.first(base_pose, joints)
             search = _Search(expander, ee, nodes, step / time_scale, solids, beam, resting)
-            complete = search.ends(search.slow_down)
+            complete = search.run(search.slow_down)
             if complete or expander is widest or not self._reaches(search.next_pose):
                 break
         if partial and not search.complete:
-            search.ends(search.jump)
+            search.run(search.jump)
         if not search.complete and not (partial and len(search.beams) > 1):
             return None
         nodes = search.nodes[: len(search.beams)]
@@ -150,8 +150,8 @@ class BasePathPlanner:
         turning = np.concatenate([[False, False, True], self.robot.continuous])
         robots[:, turning] = np.unwrap(robots[:, turning], axis=0)
         seconds = begin + step * nodes.astype(np.float64)
-        until = np.concatenate([[1.0], search.scales[nodes[:-1]]])
-        return BasePath(ee, step, begin, seconds, robots, until)
+        scales = np.concatenate([[1.0], search.scales[nodes[:-1]]])
+        return BasePath(ee, step, begin, seconds, robots, scales)
 
     def _reaches(self, pose: Array) -> bool:
         """Return whether the EE reaches a pose, (7,), from some base pose, ignoring solids."""
@@ -189,17 +189,17 @@ class _Search:
         pose: Array = self._ee[self.nodes[len(self.beams)]]
         return pose
 
-    def ends(self, go_back: Callable[[int], None]) -> bool:
+    def run(self, go_back: Callable[[int], None]) -> bool:
         """Add beams, and go back where no robot goes on; return whether the last node has one."""
-        ways = list(SETTINGS.backtracking)
+        backtracking = list(SETTINGS.backtracking)
         while not self.complete:
-            if not self.go_on():
-                if not ways:
+            if not self.add_beam():
+                if not backtracking:
                     return False
-                go_back(ways.pop(0))
+                go_back(backtracking.pop(0))
         return True
 
-    def go_on(self) -> bool:
+    def add_beam(self) -> bool:
         """Add the next beam; return whether it has a robot."""
         k = len(self.beams)
         seconds, target = self._seconds(k), self._ee[self.nodes[k]]

@@ -120,9 +120,9 @@ class BeamExpander:
 
     def first(self, base_pose: Array, joints: Array) -> Beam:
         """Return a beam of one robot, its base at a world pose (7,), with arm joints (j,)."""
-        rest, cost = np.zeros((1, len(self._fastest))), np.zeros(1)
+        command, cost = np.zeros((1, len(self._fastest))), np.zeros(1)
         parent = np.zeros(1, dtype=np.intp)
-        return Beam(base_pose[np.newaxis], joints[np.newaxis], rest, cost, parent)
+        return Beam(base_pose[np.newaxis], joints[np.newaxis], command, cost, parent)
 
     def moved(
         self,
@@ -136,10 +136,10 @@ class BeamExpander:
         tried = self._proposed(beam, target, seconds, rng)
         arm = self._reached(self._careful, tried.joints, target, tried.base, seconds, solids)
         cost = tried.cost.copy()
-        if (rest := np.flatnonzero(~arm.feasible)).size:
-            joints, base = tried.joints[rest], tried.base[rest]
-            arm.put(rest, self._reached(self.solver, joints, target, base, seconds, solids))
-            cost[rest] += SETTINGS.margin_cost
+        if (failed := np.flatnonzero(~arm.feasible)).size:
+            joints, base = tried.joints[failed], tried.base[failed]
+            arm.put(failed, self._reached(self.solver, joints, target, base, seconds, solids))
+            cost[failed] += SETTINGS.margin_cost
         cost += self._limit_cost(arm.joint_positions)
         allowed = self.solver.options.position_tolerance
         cost += SETTINGS.error_cost * np.maximum(arm.position_error - allowed, 0.0)

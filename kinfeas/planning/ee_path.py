@@ -113,13 +113,13 @@ def _assess(points, fraction, prisms, settings):
     The cost is that of the whole rest of the path; the next metres are those of `horizon`.
     """
     free, length, cost, near_cost, near = True, 0.0, 0.0, 0.0, 0.0
-    k, at = int(fraction * (POINTS - 1)) + 1, np.empty(3)
+    k, position = int(fraction * (POINTS - 1)) + 1, np.empty(3)
     while k < POINTS:
         step = math.sqrt(squared_length(points[k - 1], points[k]))
         for part in range(2):
-            write_position(points, k - 0.5 + 0.5 * part, at)
+            write_position(points, k - 0.5 + 0.5 * part, position)
             farthest = max(settings.clearance, settings.radius)
-            nearest, beside = _distances(prisms, at[0], at[1], at[2], farthest)
+            nearest, beside = _distances(prisms, position[0], position[1], position[2], farthest)
             if nearest < settings.radius and length < settings.horizon:
                 free = False
             cost += 0.5 * step * _cost_of_metre(beside, settings)

@@ -146,8 +146,8 @@ class Postures:
         base, joints = base[arm.feasible], arm.joint_positions[arm.feasible]
         if start is None or solids is None or not len(base):
             return base, joints
-        near = connected(solids, start[:2], base[:, :2], self.footprint)
-        return base[near], joints[near]
+        accessible = connected(solids, start[:2], base[:, :2], self.footprint)
+        return base[accessible], joints[accessible]
 
     def _around(self, goal: Array, first: int, last: int) -> tuple[Array, Array]:
         """Return the proposals for `goal`: base poses, shape (m, 7), and arms, shape (m, j).

@@ -52,12 +52,12 @@ def propose(chain: Chain, base, joints, command, near, target, step, limits, sec
         seconds: Time for which the commands hold.
     """
     m, t, size = command.shape
-    arms = joints.shape[1]
-    out = Proposal(np.empty((m, t, 3)), np.empty((m, t)), np.empty((m, t, arms)), np.empty(m))
-    frames, scaled = make_frames(len(chain.tree.variable)), np.empty((arms, 6))
+    dof = joints.shape[1]
+    out = Proposal(np.empty((m, t, 3)), np.empty((m, t)), np.empty((m, t, dof)), np.empty(m))
+    frames, scaled = make_frames(len(chain.tree.variable)), np.empty((dof, 6))
     low, error, toward, velocity = np.empty((6, 6)), np.empty(6), np.empty(size), np.empty(2)
     moved, gain, normal = np.empty((3, 6)), np.empty((3, 6)), np.empty((3, 3))
-    short = arms < _POSE
+    short = dof < _POSE
     orientation, turned = np.empty((3, 3)), np.empty((3, 3))
     write_matrix(target, orientation)
     for i in range(m):

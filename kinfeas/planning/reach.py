@@ -140,12 +140,12 @@ class BasePlacer:
         Other arguments are those of `place`. If an EE pose alone is out of reach, the result is
         that of `place` for this pose.
         """
-        each = [self._search(goal, _SETTINGS.stages, solids, start)[0] for goal in goals]
-        for goal, bases in zip(goals, each, strict=True):
+        candidates = [self._search(goal, _SETTINGS.stages, solids, start)[0] for goal in goals]
+        for goal, bases in zip(goals, candidates, strict=True):
             if not len(bases):
                 return self.place(goal, solids, start)
         most = max(_SETTINGS.together // len(goals), 1)
-        base = np.concatenate([bases[:most] for bases in each])
+        base = np.concatenate([bases[:most] for bases in candidates])
         joints = np.empty((len(base), 0, len(self.solver.robot.arm)))
         seed = np.tile(self.solver.robot.home["home"], (len(base), 1))
         for goal in goals:
@@ -177,9 +177,9 @@ class BasePlacer:
 
     def touching(self, base: Array, joints: Array, solids: Solids) -> NDArray[np.bool_]:
         """Return which of k solids each of m robots touches, shape (m, k)."""
-        each = (solids.only(np.array([k])).repeated(len(base)) for k in range(solids.places))
+        singles = (solids.only(np.array([k])).repeated(len(base)) for k in range(solids.places))
         robot = self.solver.collision, joints, base
-        return np.stack([collides(*robot, solid).any(axis=1) for solid in each], axis=1)
+        return np.stack([collides(*robot, solid).any(axis=1) for solid in singles], axis=1)
 
     @property
     def _heights(self) -> tuple[float, float]:

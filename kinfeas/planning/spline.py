@@ -27,16 +27,16 @@ def fractions_ahead(points, fraction, distances, out):
         measured = first = min(int(t), POINTS - 2)
         write_position(points[i], first, ends[first % 2])
         for d in range(len(distances)):
-            left, k, done = distances[d], first, t - first
+            remaining, k, done = distances[d], first, t - first
             while k < POINTS - 1:
                 if k == measured:
                     write_position(points[i], k + 1, ends[(k + 1) % 2])
                     lengths[k] = math.sqrt(squared_length(ends[0], ends[1]))
                     measured += 1
-                if left <= lengths[k] * (1.0 - done):
-                    done += left / max(lengths[k], 1e-12)
+                if remaining <= lengths[k] * (1.0 - done):
+                    done += remaining / max(lengths[k], 1e-12)
                     break
-                left -= lengths[k] * (1.0 - done)
+                remaining -= lengths[k] * (1.0 - done)
                 k, done = k + 1, 0.0
             out[i, d] = min((k + min(done, 1.0)) / (POINTS - 1), 1.0)
 

@@ -79,8 +79,8 @@ def plan_along(
     starts = _starts(placer, ee, solids) if start is None else [start]
     moments, reason = _first_plan(planner, placer.solver, starts, ee, step, solids), ""
     if moments is None:
-        named = names or [f"solid {k}" for k in range(solids.places if solids else 0)]
-        reason = _reason(placer, ee, step, start, solids, named)
+        names = names or [f"solid {k}" for k in range(solids.places if solids else 0)]
+        reason = _reason(placer, ee, step, start, solids, names)
     for factor in _SETTINGS.slower:
         if moments is not None or reason or factor * len(ee) * step > _SETTINGS.longest:
             break
@@ -146,19 +146,19 @@ def _refined(solver: IkSolver, path: BasePath, solids: Solids | None) -> Moments
 
 def _moments(solver: IkSolver, path: BasePath, motion_time: Array) -> Moments | None:
     """Return base and arm at some motion times, within velocity limits, or None if IK fails."""
-    robot, every = solver.robot, path.motion_time
-    ee = interpolated(motion_time, every, path.ee)
+    robot, pose_times = solver.robot, path.motion_time
+    ee = interpolated(motion_time, pose_times, path.ee)
     # Between those of the path, base and arm move in proportion to the EE, or to time if it rests.
-    length = path_length(path.ee) + _SETTINGS.resting * np.arange(float(len(every)))
-    along, nodes = (np.interp(times, every, length) for times in (motion_time, path.seconds))
+    length = path_length(path.ee) + _SETTINGS.resting * np.arange(float(len(pose_times)))
+    along, nodes = (np.interp(times, pose_times, length) for times in (motion_time, path.seconds))
     rows = path.robots_at(np.interp(along, nodes, path.seconds))
     arm = _arms(solver, ee, rows)
     joints = arm.joint_positions
     scale = np.array([path.time_scale_at(seconds) for seconds in motion_time[:-1].tolist()])
-    turned = np.abs(joint_displacement(robot, joints[:-1], joints[1:])) / robot.max_joint_velocity
-    driven = np.linalg.norm(np.diff(rows[:, :2], axis=0), axis=1) / robot.base.max_velocity
-    rotated = np.abs(np.diff(rows[:, 2])) / robot.base.max_rotation
-    least = np.max([turned.max(axis=1), driven, rotated], axis=0)
+    moving = np.abs(joint_displacement(robot, joints[:-1], joints[1:])) / robot.max_joint_velocity
+    driving = np.linalg.norm(np.diff(rows[:, :2], axis=0), axis=1) / robot.base.max_velocity
+    turning = np.abs(np.diff(rows[:, 2])) / robot.base.max_rotation
+    least = np.max([moving.max(axis=1), driving, turning], axis=0)
     planned = np.diff(motion_time) / scale
     if not arm.feasible.all():
         return None

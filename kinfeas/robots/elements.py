@@ -108,8 +108,8 @@ class Element:
         if element is None:
             return make_pose(np.zeros(3), Rotation.identity())
         xyz = np.array(element.vector("xyz", 3, (0.0, 0.0, 0.0), FARTHEST))
-        rpy = element.vector("rpy", 3, (0.0, 0.0, 0.0))
-        return make_pose(xyz, Rotation.from_euler("xyz", rpy))
+        angles = element.vector("rpy", 3, (0.0, 0.0, 0.0))
+        return make_pose(xyz, Rotation.from_euler("xyz", angles))
 
 
 def read_xml(path: Path, *tags: str) -> Element:

@@ -21,9 +21,9 @@ def fcl_object(part: Shape | Array, less: float = 0.0) -> Any:
         kinds = {"box": fcl.Box, "cylinder": fcl.Cylinder, "sphere": fcl.Sphere}
         thinner = {"box": (less,) * 3, "cylinder": (less / 2.0, less), "sphere": (less / 2.0,)}
         size = np.maximum(np.subtract(part.size, thinner[part.kind]), _THINNEST)
-        made = fcl.CollisionObject(kinds[part.kind](*size))
-        place(made, part.pose)
-        return made
+        primitive = fcl.CollisionObject(kinds[part.kind](*size))
+        place(primitive, part.pose)
+        return primitive
     mesh = fcl.BVHModel()
     mesh.beginModel(len(part), 3 * len(part))
     mesh.addSubModel(part.reshape(-1, 3), np.arange(3 * len(part)).reshape(-1, 3))
