@@ -71,7 +71,7 @@ class IkSolution:
     joint_positions: Array  # solutions, or the seeds where there is none, shape (n, v)
     feasible: NDArray[np.bool_]  # whether a solution was found, shape (n,)
     position_error: Array  # of the solution or closest attempt, shape (n,), metres
-    rotation_error: Array  # the same, shape (n,), radians
+    rotation_error: Array  # of the solution or closest attempt, shape (n,), radians
 
     def put(self, rows: NDArray[np.intp], solutions: "IkSolution") -> None:
         """Replace the solutions of the targets `rows`, shape (m,), by m other ones."""

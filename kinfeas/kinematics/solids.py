@@ -80,7 +80,7 @@ def collides(
 ) -> NDArray[np.bool_]:
     """Return whether shapes touch solids, to within `MARGIN`, shape (n, 2).
 
-    The first column is of the shapes that the arm does not move, the second of those that it moves.
+    The first column is of shapes that the arm does not move, the second of shapes that it moves.
 
     Args:
         model: Shapes of the robot.

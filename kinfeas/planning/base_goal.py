@@ -311,7 +311,7 @@ def _eased(fraction: Array) -> Array:
 
 
 def _later(solids: Solids, seconds: Array) -> Solids:
-    """Return m rows: the solids of the first row as they will stand after m times, seconds."""
+    """Return m rows of the first row's solids after m times, s; they stop after `foresight`."""
     later = solids.repeated(len(seconds))
     pose = later.pose.copy()
     ahead = np.minimum(seconds, LATTICE.foresight)[:, np.newaxis, np.newaxis]

@@ -115,7 +115,7 @@ class Query(NamedTuple):
     rest: Array  # arm joints while driving, shape (j,)
     reach: float  # metres
     start: Array  # x, y and yaw of the base, shape (3,)
-    goals: Array  # the same where it may arrive, shape (p, 3)
+    goals: Array  # x, y and yaw of base poses at which it may arrive, shape (p, 3)
     goal_costs: Array  # cost of arriving there, shape (p,), metres
     solids: tuple[Array, Array, NDArray[np.bool_], Array]  # pose, size, cylinder and velocity
     origin: Array  # position of the first cell, shape (2,), metres

@@ -92,7 +92,7 @@ class BasePathPlanner:
     A beam search: the robots (configurations of base and arm) of the beam at one EE pose lead to
     the beam at the next. Where none goes on, the search goes back to earlier poses and slows the EE
     down from there. If this fails, a search with a wider beam begins, unless the EE reaches the
-    next pose from no base. If this fails too, arms of partial paths jump to other configurations.
+    next pose from no base. If this fails too, arms may jump, in partial paths only.
     """
 
     def __init__(self, solver: IkSolver) -> None:

@@ -35,12 +35,12 @@ class BeamSettings:
     beam: int = 150  # robots that are kept at each pose
     commands: int = 900  # base commands that the robots of a beam try together
     robot_commands: int = 200  # largest number of commands that one robot tries
-    noise: float = 0.5  # largest difference from the EE's velocity of half of the commands
+    noise: float = 0.5  # largest difference of half of the commands from the EE's velocity
     configurations: int = 2  # arm configurations to which each robot tries to jump
     velocity: float = 0.3  # largest speed of the base, m/s
     rotation: float = 0.5  # largest angular speed of the base, rad/s
-    base_fraction: float = 0.8  # of the limits of the base; the rest is for control
-    arm_fraction: float = 0.7  # of the velocity limits of the arm, likewise
+    base_fraction: float = 0.8  # fraction of the base's limits used; the rest is for control
+    arm_fraction: float = 0.7  # fraction of the arm's velocity limits used, likewise
     cell: float = 0.12  # size of a cell, of whose robots a beam keeps the best, metres
     heading: float = math.pi / 8.0  # size of a cell in heading, radians
     elbows: int = 4  # number of cells in the elbow's range
@@ -69,7 +69,7 @@ SETTINGS = BeamSettings()
 _CELLS = 1e4  # largest number of cells along an axis, so that indices of cells are exact floats
 _AHEAD, _ASIDE = np.array([[1.0, 1.0, -1.0, -1.0], [1.0, -1.0, 1.0, -1.0]]) * SETTINGS.off_metres
 _OFF = planar_pose(_AHEAD, _ASIDE, np.sign(_AHEAD) * SETTINGS.off_radians)
-"""Poses of deviating bases in the frames of those that do not deviate, shape (4, 7)."""
+"""Deviations of a base that arms should compensate, as poses in the base frame, shape (4, 7)."""
 
 
 @dataclass(frozen=True)
@@ -258,7 +258,7 @@ class BeamExpander:
         return command
 
     def _best(self, beam: Beam, target: Array) -> Beam:
-        """Return the best robot of each cell, and of these at most as many as a beam keeps."""
+        """Return the best robot of each cell, in total at most as many as a beam keeps."""
         elbow = beam.joints[:, self._elbow] - self._middle[self._elbow]
         bent = elbow / self._half[self._elbow] * SETTINGS.elbows / 2.0
         cells = _cells(beam.base, target) + _CELLS**3 * np.floor(bent)

@@ -84,7 +84,7 @@ def _replan_batch(settings, new, fraction, start, goal, solids, points):
 
 @inner
 def _distances(prisms, x, y, z, limit):
-    """Return the distance to the nearest solid and the horizontal one, both at most `limit`."""
+    """Return the least distance and the least horizontal distance to solids, at most `limit`."""
     nearest, beside = limit, limit
     for k in range(len(prisms)):
         prism = prisms[k]
@@ -213,7 +213,7 @@ def _segment(a, b, grid, settings, bound):
     cell, origin, (nx, ny) = grid.cell, grid.origin, grid.cost.shape
     length = math.sqrt(squared_length(a, b))
     pieces = max(int(length / (0.5 * cell)) + 1, 2)
-    # Where a metre costs less than this, no solid is nearer than the radius.
+    # Where a metre costs less than `safe`, no solid is nearer than `apart`.
     apart = settings.radius + settings.margin
     safe = _cost_of_metre(apart + cell, settings)
     cost, step = 0.0, length / pieces

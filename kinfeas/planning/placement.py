@@ -29,7 +29,7 @@ class PlacementSettings:
     """Settings of the search for base poses."""
 
     postures: int = 8192  # arm configurations that propose base poses
-    seed: int = 3  # of these configurations
+    seed: int = 3  # seed of these configurations
     cell: float = 0.1  # side of a cell of the floor, metres
     border: float = 3.0  # width of the floor around all solids, the start and the goals, metres
     detour: float = 30.0  # distance from start and goals to which solids widen this floor, metres
@@ -77,7 +77,7 @@ def reachable(solver: IkSolver, goals: Array, stages: Sequence[int] = STAGES) ->
 
 
 def reachability(tries: Array, stages: Sequence[int]) -> Reachability:
-    """Return the reachability of n goals from the `Postures.tries` that they take, shape (n,)."""
+    """Return the reachability of n goals from their `Postures.tries`, shape (n,)."""
     reached = np.isfinite(tries)
     convergence = tuple(float(np.mean(tries <= stage)) for stage in stages)
     return Reachability(reached, wilson(int(reached.sum()), len(reached)), convergence)

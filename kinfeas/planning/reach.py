@@ -45,7 +45,7 @@ _SETTINGS = ReachSettings()
 
 @dataclass(frozen=True)
 class Placement:
-    """Base poses that reach an EE pose, or n of them together; the best of m first."""
+    """The m base poses that reach an EE pose, or each of n EE poses; the best first."""
 
     base_pose: Array  # world poses of the base, shape (m, 7)
     joint_positions: Array  # arm joints at each, shape (m, j), or (m, n, j) for several EE poses
@@ -137,8 +137,8 @@ class BasePlacer:
     ) -> Placement:
         """Return base poses from each of which the arm reaches all EE poses, shape (n, 7).
 
-        Other arguments are those of `place`. If an EE pose alone is out of reach, the result is
-        that of `place` for this pose.
+        Other arguments are those of `place`. If one EE pose is out of reach by itself, the
+        result is that of `place` for this pose.
         """
         candidates = [self._search(goal, _SETTINGS.stages, solids, start)[0] for goal in goals]
         for goal, bases in zip(goals, candidates, strict=True):

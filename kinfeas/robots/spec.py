@@ -78,7 +78,7 @@ class GripperSpec:
 
     @property
     def ratio(self) -> float:
-        """Displacement of the second finger by that of the first; 1 if they move alike."""
+        """Displacement of the second finger divided by the first one's; 1 if they move alike."""
         first, second = self._strokes
         return second / first
 
@@ -101,7 +101,7 @@ class Reach:
 
     @property
     def comfortable(self) -> tuple[float, float]:
-        """Lowest and highest EE of easy goals, metres: 0.2 m within the reach, at most 1.1 m."""
+        """Lowest and highest EE height of easy goals, metres, 0.2 m within reach, at most 1.1."""
         margin = min(0.2, (self.high - self.low) / 4.0)
         return self.low + margin, max(min(self.high - margin, 1.1), (self.low + self.high) / 2.0)
 
