@@ -7,9 +7,10 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from kinfeas.core.solids import Solids
-from kinfeas.core.spatial import Array, relative
+from kinfeas.core.spatial import Array, relative, rotation
 from kinfeas.kinematics.forward import jacobian
 from kinfeas.kinematics.ik import POSE_DIMENSIONS, IkOptions, IkSolver
 from kinfeas.kinematics.solids import collides, in_base
@@ -36,7 +37,8 @@ class ReachSettings:
     stages: tuple[int, ...] = (8, 32, 128, 512, 1024)  # the same with IK restarts, if none is found
     compared: int = 64  # base poses of which the best are returned
     unlimited: int = 1024  # base poses tried with a limit lifted, to find the one that applies
-    together: int = 512  # base poses that are tried for several poses
+    together: int = 512  # base poses that are tried for several poses, selected from
+    proposed: int = 4096  # base poses for single ones
     clearances: tuple[float, ...] = (0.02, 0.05, 0.1)  # distances from solids, metres
 
 
@@ -140,23 +142,26 @@ class BasePlacer:
         Other arguments are those of `place`. If one EE pose is out of reach by itself, the
         result is that of `place` for this pose.
         """
-        candidates = [self._search(goal, _SETTINGS.stages, solids, start)[0] for goal in goals]
-        for goal, bases in zip(goals, candidates, strict=True):
-            if not len(bases):
-                return self.place(goal, solids, start)
-        most = max(_SETTINGS.together // len(goals), 1)
-        base = np.concatenate([bases[:most] for bases in candidates])
-        joints = np.empty((len(base), 0, len(self.solver.robot.arm)))
-        seed = np.tile(self.solver.robot.home["home"], (len(base), 1))
-        for goal in goals:
-            among = None if solids is None else in_base(solids.repeated(len(base)), base)
-            arm = self.solver.solve(relative(goal, base), seed, solids=among)
-            seed = arm.joint_positions[arm.feasible]
-            base = base[arm.feasible]
-            joints = np.concatenate([joints[arm.feasible], seed[:, np.newaxis]], axis=1)
-        if not len(base):
-            return self._none("motion")
-        return self._rated(base, joints, solids, count)
+        most = max(_SETTINGS.proposed // len(goals), 1)
+        for found in (1, most):
+            candidates = [
+                self._search(goal, _SETTINGS.stages, solids, start, found)[0] for goal in goals
+            ]
+            for goal, bases in zip(goals, candidates, strict=True):
+                if not len(bases):
+                    return self.place(goal, solids, start)
+            base = _nearest_first([bases[:most] for bases in candidates])[: _SETTINGS.together]
+            joints = np.empty((len(base), 0, len(self.solver.robot.arm)))
+            seed = np.tile(self.solver.robot.home["home"], (len(base), 1))
+            for goal in goals:
+                among = None if solids is None else in_base(solids.repeated(len(base)), base)
+                arm = self.solver.solve(relative(goal, base), seed, solids=among)
+                seed = arm.joint_positions[arm.feasible]
+                base = base[arm.feasible]
+                joints = np.concatenate([joints[arm.feasible], seed[:, np.newaxis]], axis=1)
+            if len(base):
+                return self._rated(base, joints, solids, count)
+        return self._none("motion")
 
     def limit(self, goal: Array, solids: Solids | None = None, start: Array | None = None) -> str:
         """Return the reason for which an EE pose is out of reach, one of `LIMITS`.
@@ -266,6 +271,18 @@ class BasePlacer:
         none, heights = np.empty(0), self._heights if limit == "height" else (0.0, 0.0)
         bases, arms = np.empty((0, 7)), np.empty((0, joints))
         return Placement(bases, arms, none, none, none, limit, heights=heights)
+
+
+def _nearest_first(candidates: Sequence[Array]) -> Array:
+    """Return all base poses of some sets, (m, 7), first those near to a pose of each other set."""
+    # A heading counts as a point on the circle of 1 m.
+    points = [
+        np.hstack([poses[:, :2], rotation(poses).as_matrix()[:, 0, :2]]) for poses in candidates
+    ]
+    distances = [np.asarray(KDTree(own).query(np.vstack(points))[0]) for own in points]
+    order = np.argsort(np.max(distances, axis=0), kind="stable")
+    nearest: Array = np.vstack(candidates)[order]
+    return nearest
 
 
 def _manipulability(solver: IkSolver, joints: Array) -> Array:

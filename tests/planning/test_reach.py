@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import compose, distance, make_pose
 from kinfeas.kinematics.forward import forward
+from kinfeas.kinematics.ik import spread_configurations
 from kinfeas.kinematics.solids import collides
 from kinfeas.planning.reach import BasePlacer
 from kinfeas.robots.loading import load_robot
@@ -94,3 +95,11 @@ def test_one_base_pose_for_several_ee_poses(of_pr2):
     for axis, limit in ((0, "motion"), (2, "height")):
         goals[1, axis] += 4.0
         assert of_pr2.place_for_all(goals).limit == limit
+
+
+def test_a_base_pose_for_several_ee_poses_is_found_if_there_is_one(of_pr2):
+    solver = of_pr2.solver
+    joints = spread_configurations(solver.robot, 400, seed=2)
+    goals = forward(solver.chain, joints[solver.admissible(joints)])
+    goals = goals[goals[:, 2] > 0.0][:160].reshape(20, 8, 7)
+    assert sum(of_pr2.place_for_all(every).reachable for every in goals) >= 18
