@@ -116,6 +116,7 @@ class BasePathPlanner:
         *,
         rest: float = 0.0,
         partial: bool = False,
+        seed: int = 0,
     ) -> BasePath | None:
         """Return a path, or None if none is found.
 
@@ -130,6 +131,7 @@ class BasePathPlanner:
             rest: Motion time for which the EE rests at the first pose, seconds.
             partial: Whether arms may jump, and the path may end where no robot goes on, before the
                 end of the EE path.
+            seed: Seed of the random base commands that robots try.
         """
         resting = round(min(rest, SETTINGS.rest) / step)
         nodes = np.union1d(0, resting + _nodes(ee))
@@ -137,7 +139,7 @@ class BasePathPlanner:
         widest = self._expanders[-1]
         for expander in self._expanders:
             beam = expander.first(base_pose, joints)
-            search = _Search(expander, ee, nodes, step / time_scale, solids, beam, resting)
+            search = _Search(expander, ee, nodes, step / time_scale, solids, beam, resting, seed)
             complete = search.run(search.slow_down)
             if complete or expander is widest or not self._reaches(search.next_pose):
                 break
@@ -171,10 +173,11 @@ class _Search:
         solids: Solids | None,
         beam: Beam,
         resting: int,
+        seed: int,
     ) -> None:
         self._expander, self._ee, self._step, self._resting = expander, ee, step, resting
         self._solids = None if solids is None else _near(solids, ee, SETTINGS.solids)
-        self._rng = np.random.default_rng(0)
+        self._rng = np.random.default_rng(seed)
         self.beams = [beam]
         self.nodes = nodes  # indices of EE poses; the same one twice where arms jump
         self.scales = np.ones(len(ee))  # fraction of its speed at which the EE moves from each pose

@@ -25,6 +25,7 @@ class WholeBodySettings:
     """Settings of plans along EE paths."""
 
     starts: int = 4  # base poses tried at the beginning of a path
+    searches: int = 4  # searches from each, while the path has joint jumps between its robots
     examined: int = 24  # EE poses that are tried alone if a path has no plan
     slower: tuple[int, ...] = (2, 4)  # factors by which the EE is slower where there is no plan
     longest: float = 300.0  # time that a slower EE may need, seconds
@@ -108,9 +109,12 @@ def _first_plan(
 ) -> Moments | None:
     """Return the plan from the first of some starts that has one, or None."""
     for base, joints in starts:
-        path = planner.plan(base, joints, ee, step, 0.0, solids=solids)
-        if path is not None and (moments := _refined(solver, path, solids)) is not None:
-            return moments
+        for seed in range(_SETTINGS.searches):
+            path = planner.plan(base, joints, ee, step, 0.0, solids=solids, seed=seed)
+            if path is None:
+                break
+            if (moments := _refined(solver, path, solids)) is not None:
+                return moments
     return None
 
 

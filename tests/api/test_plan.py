@@ -66,6 +66,13 @@ def test_arms_of_five_joints_do_not_jump_where_no_base_pose_is_exact(hsr, yaw, j
     assert np.diff(plan.time).max() < 0.2
 
 
+def test_another_search_finds_a_path_where_the_first_one_has_a_jump():
+    target = [-0.545, 0.728, 0.832, -0.623, 0.128, 0.505, 0.584]
+    plan = kinfeas.plan("ridgeback_ur5", "linear", target=target, start=(0.0, 0.0, -0.76))
+    assert distance(plan.reached, plan.ee_pose)[0].max() < 1e-3
+    assert np.diff(plan.time).max() < 0.2
+
+
 def test_the_ee_is_slower_where_the_robot_cannot_follow():
     poses = FIRST * np.ones((2, 1))
     poses[1, 0] += 0.3
