@@ -25,10 +25,10 @@ class WholeBodySettings:
     """Settings of plans along EE paths."""
 
     starts: int = 4  # base poses tried at the beginning of a path
-    searches: int = 4  # searches from each, while the path has joint jumps between its robots
+    searches: int = 4  # searches from each, while the path has joint jumps or takes too long
     examined: int = 24  # EE poses that are tried alone if a path has no plan
     slower: tuple[int, ...] = (2, 4)  # factors by which the EE is slower where there is no plan
-    longest: float = 300.0  # time that a slower EE may need, seconds
+    longest: float = 300.0  # time that a plan may take, seconds
     apart: float = 0.1  # time from a moment to the next, up to a half more, seconds
     rounds: int = 6  # rounds of finer moments; an arm that is too slow even then counts as jumping
     tolerance: float = 1.2  # factor of the IK tolerances between the poses of the search
@@ -89,7 +89,8 @@ def plan_along(
         slow = interpolated(np.linspace(0.0, index[-1], factor * (len(ee) - 1) + 1), index, ee)
         moments = _first_plan(planner, placer.solver, starts, slow, step, solids)
     if moments is None:
-        reason = reason or "all EE poses are reachable, but not on one path of base and arm"
+        path = f"one path of base and arm within {_SETTINGS.longest:g} s"
+        reason = reason or f"all EE poses are reachable, but not on {path}"
         raise KinfeasError(f"no plan was found: {reason}")
     return moments
 
@@ -113,7 +114,8 @@ def _first_plan(
             path = planner.plan(base, joints, ee, step, 0.0, solids=solids, seed=seed)
             if path is None:
                 break
-            if (moments := _refined(solver, path, solids)) is not None:
+            moments = _refined(solver, path, solids)
+            if moments is not None and moments.time[-1] <= _SETTINGS.longest:
                 return moments
     return None
 
