@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from kinfeas.config import PluginSpec, Settings, nested
 from kinfeas.config.recipes import robot_file
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.extras import require
-from kinfeas.core.files import file_hash, is_path, reading
+from kinfeas.core.files import is_path, named_file_hashes, reading
 from kinfeas.evaluation.evaluate import configure, evaluate, read_settings
 from kinfeas.evaluation.reachability import measure_reachability
 from kinfeas.io.policy_metadata import WEIGHTS, Trained, policy_folder, read_best
@@ -90,8 +90,8 @@ class Evaluation:
             parts += [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]
         if is_path(self.task):
             task = config.to_mapping(load_task(self.task, self.parameters))
-            parts += [task, *_named_files(task)]
-        parts += _named_files([self.settings, self.parameters])
+            parts += [task, *named_file_hashes(task)]
+        parts += named_file_hashes([self.settings, self.parameters])
         digest = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:10]
         return f"{self.robot_name}-{self.task_name}-{self.policy}-{self.backend}-{digest}"
 
@@ -272,17 +272,6 @@ def _weights(case: Evaluation) -> str:
     path = policy_folder(folder) / WEIGHTS
     with reading(path):
         return hashlib.sha256(path.read_bytes()).hexdigest()
-
-
-def _named_files(settings: object) -> list[str]:
-    """Return the hashes of the files that settings name, such as learned motions."""
-    if isinstance(settings, Mapping):
-        settings = list(settings.values())
-    if isinstance(settings, list):
-        return [digest for value in settings for digest in _named_files(value)]
-    if not isinstance(settings, str) or not Path(settings).is_file():
-        return []
-    return [file_hash(Path(settings))]
 
 
 def read_run(folder: Path) -> TrainedRun:

@@ -8,7 +8,7 @@ import json
 import os
 import shutil
 import stat
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory, TemporaryFile
@@ -127,6 +127,17 @@ def file_hash(path: Path) -> str:
     """Return `sha256:` and the hash of a file's content."""
     with path.open("rb") as file:
         return f"sha256:{hashlib.file_digest(file, 'sha256').hexdigest()}"
+
+
+def named_file_hashes(settings: object) -> list[str]:
+    """Return the hashes of the files that plain settings name, such as learned motions."""
+    if isinstance(settings, Mapping):
+        settings = list(settings.values())
+    if isinstance(settings, list):
+        return [digest for value in settings for digest in named_file_hashes(value)]
+    if not isinstance(settings, str) or not Path(settings).is_file():
+        return []
+    return [file_hash(Path(settings))]
 
 
 def check_undamaged(path: Path, written: str | None) -> None:

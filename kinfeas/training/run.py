@@ -19,7 +19,15 @@ from safetensors import SafetensorError
 from kinfeas import config as configuration
 from kinfeas.config import Settings
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.files import MAX_JSON_BYTES, find_folder, is_path, read_file, reading, writing
+from kinfeas.core.files import (
+    MAX_JSON_BYTES,
+    find_folder,
+    is_path,
+    named_file_hashes,
+    read_file,
+    reading,
+    writing,
+)
 from kinfeas.core.quantities import NotNegative
 from kinfeas.io.policy_metadata import read_best, read_trained
 from kinfeas.policies.loading import PRETRAINED, trained_folder, trained_policies
@@ -216,7 +224,7 @@ def identity(config: TrainConfig) -> dict[str, object]:
 
 
 def content_hashes(config: TrainConfig) -> dict[str, str]:
-    """Return hashes of the robot's kinematics and of the YAML of a task, by key.
+    """Return hashes of the robot's kinematics, and of the YAML of a task and files in it, by key.
 
     Raises:
         KinfeasError: If one of the files is not there.
@@ -229,6 +237,7 @@ def content_hashes(config: TrainConfig) -> dict[str, str]:
         task = configuration.to_mapping(load_task(config.task, config.task_parameters))
         text = json.dumps(task, sort_keys=True, ensure_ascii=False)
         text = text.replace(f"{Path(config.task).parent}/", "")  # of the files that it names
+        text += "".join(named_file_hashes(task))
         hashes["task"] = f"sha256:{hashlib.sha256(text.encode()).hexdigest()}"
     return hashes
 

@@ -123,10 +123,10 @@ def test_a_robot_may_move_but_not_change(hsr, ended, tmp_path):
 
 
 def test_a_task_may_move_with_its_files_but_not_change(tiny, tmp_path):
-    def hashes(name, x=2.0):
+    def hashes(name, x=2.0, size=9):
         folder = tmp_path / name
         folder.mkdir()
-        (folder / "own.yaml").write_text("name: own\nsize: [9, 9]\nobjects: {}\n")
+        (folder / "own.yaml").write_text(f"name: own\nsize: [9, {size}]\nobjects: {{}}\n")
         task = {"name": "own", "scene": {"name": "own.yaml"}, "subgoals": [{"place": "shelf"}]}
         task["places"] = {"shelf": {"position": [x, 0.0, 1.0]}}
         (folder / "task.yaml").write_text(json.dumps(task))
@@ -135,6 +135,7 @@ def test_a_task_may_move_with_its_files_but_not_change(tiny, tmp_path):
     first = hashes("first")
     assert hashes("moved") == first
     assert hashes("changed", 2.5)["task"] != first["task"]
+    assert hashes("room", size=8)["task"] != first["task"]
 
 
 @pytest.mark.parametrize(("name", "robot"), [
