@@ -107,7 +107,7 @@ def test_servo_stops_within_0_3_s_after_the_last_twist(bus, tmp_path):
     moved = np.linalg.norm(np.diff(run.desired[:, :3], axis=0), axis=1) / np.diff(run.time)
     assert moved.max() > 0.05
     assert moved[-1] < 1e-3
-    assert run.feasible.mean() > 0.9  # the sender of a slow machine leads the EE further
+    assert run.feasible.all()
 
 
 @of_ros1
