@@ -23,7 +23,7 @@ from typing import Any
 
 import numba
 from numba import njit
-from numba.core import event
+from numba.core.event import Event, Listener, register
 
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.files import try_lock
@@ -51,16 +51,18 @@ _POLL, _DEADLINE = 0.02, time.monotonic() + 10.0
 """Seconds between attempts to lock, and the time after which an import does not wait."""
 
 
-class _Notice(event.Listener):
-    """Logs, in the main process, that the first calls after an installation take long."""
+class _CompilationNotice(Listener):
+    """Logs once, in the main process, that kernels without a cache are being compiled."""
 
-    def on_start(self, event: event.Event) -> None:
+    logged = False
+
+    def on_start(self, event: Event) -> None:
         ours = event.data["dispatcher"].__module__.startswith("kinfeas.")
-        if ours and parent_process() is None:
-            self.on_start = self.on_end  # type: ignore[method-assign]
+        if ours and not self.logged and parent_process() is None:
+            self.logged = True
             _log.warning("compiling kernels (kept for next time)")
 
-    def on_end(self, event: event.Event) -> None: ...
+    def on_end(self, event: Event) -> None: ...
 
 
 def _set_cache_folder() -> None:
@@ -136,7 +138,7 @@ def _private(folder: Path) -> Path:
 
 
 _set_cache_folder()  # before the first kernel
-event.register("numba:compile", _Notice())
+register("numba:compile", _CompilationNotice())
 
 
 @inlined
