@@ -395,7 +395,13 @@ def test_an_old_or_blind_scan_stops_the_robot_that_uses_it(age, blind):
 
 @pytest.mark.parametrize("adapters", [(), (PluginSpec("scan_noise"),)])
 def test_the_base_does_not_drive_where_its_scan_is_blind(adapters):
-    guard, backend, _ = scanning(adapters, blind=np.abs(ANGLES) > 0.5 * np.pi)
+    guard, backend, scan = scanning(adapters, blind=np.abs(ANGLES) > 0.5 * np.pi)
+    measure = backend.scanner.scan
+    guard.scanner.scan()
+    measure.return_value = replace(scan, blind=None)
+    guard.scanner.scan()
+    guard.step(twist(-0.03), arm(guard), DT)
+    measure.return_value = scan
     for command in (twist(0.03), twist(0.0, 0.03), twist(turn=0.05), twist(-0.01)):
         guard.scanner.scan()
         guard.step(command, arm(guard), DT)
