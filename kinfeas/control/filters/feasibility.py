@@ -16,7 +16,7 @@ from kinfeas.kinematics.solids import base_collides
 from kinfeas.robots.robot import exceeds_joint_velocity
 
 _CANDIDATES = 32
-_HORIZON = 0.5
+HORIZON = 0.5
 """Seconds in which a base that responds late shows the effect of a command."""
 
 _ROUNDS = ((0, 8), (8, None))
@@ -50,7 +50,7 @@ class FeasibilityFilter:
     ) -> None:
         self.max_deviation = max_deviation
         self._step, self._robot = KinematicStep(solver, dt, response), solver.robot
-        self._periods = 1.0 if response.immediate else max(_HORIZON / dt, 1.0)
+        self._periods = 1.0 if response.immediate else max(HORIZON / dt, 1.0)
         self._ahead = KinematicStep(solver, self._periods * dt, response)
         fast = 2.0 * spread(_CANDIDATES, command_size(solver.robot.base)) - 1.0
         self.candidates: Array = np.concatenate([speed * fast for speed in self.speeds])
@@ -117,10 +117,11 @@ class FeasibilityFilter:
         return good.reshape(m, k)
 
     def _tried(
-        self, command: Array, inputs: KinematicInputs, max_deviation: float
-    ) -> tuple[Move, NDArray[np.bool_]]:
+        self, command: Array, inputs: KinematicInputs, max_deviation: float,
+        step: KinematicStep | None = None,
+    ) -> tuple[Move, NDArray[np.bool_]]:  # fmt: skip
         """Return the moves of commands, one for each of m rows, and whether they are feasible."""
-        step = self._ahead
+        step = step or self._ahead
         move = step(command, inputs, allow_reconfiguration=False)
         jump = exceeds_joint_velocity(self._robot, inputs.joints, move.arm.joint_positions, step.dt)
         good = move.arm.feasible & ~jump & (move.arm.position_error <= max_deviation)

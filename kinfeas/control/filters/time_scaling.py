@@ -4,13 +4,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinfeas.control.filters.feasibility import FeasibilityFilter
-from kinfeas.control.period import Period
+from kinfeas.control.filters.feasibility import HORIZON, FeasibilityFilter
+from kinfeas.control.period import KinematicStep, Period
 from kinfeas.core.motion import Rows, with_rows
 from kinfeas.core.quantities import NotNegative
 from kinfeas.core.response import ResponseModel
 from kinfeas.core.spatial import Array
 from kinfeas.kinematics.ik import ROTATION_WEIGHT, IkSolver
+from kinfeas.kinematics.solids import collides
+from kinfeas.robots.robot import joint_displacement
 
 _FRACTIONS = (0.5, 0.25, 0.0)
 """Fractions of the planned step that are tried, until there is a feasible command."""
@@ -37,8 +39,10 @@ class TimeScalingFilter(FeasibilityFilter):
     Candidates have three speeds. If none is feasible for the whole step of the EE, half and a
     quarter of the step are tried, then rest: the EE waits, and the feasible candidate is taken
     whose arm comes nearest to the end of the whole step. Last are candidates with more deviation.
-    Without any, base and arm hold. So no IK failure and no joint jump is commanded to robots that
-    respond at once; commands of others are tried half a second ahead. It must be the last filter.
+    Without any, an arm that can be at the resting EE within half a second, as after a jump of the
+    localisation, moves toward it; otherwise base and arm hold. So no joint jump is commanded to
+    robots that respond at once, and no IK failure unless their bases were displaced; commands of
+    others are tried half a second ahead. It must be the last filter.
 
     Args:
         solver: IK of the robot.
@@ -59,6 +63,7 @@ class TimeScalingFilter(FeasibilityFilter):
     ) -> None:
         super().__init__(solver, dt, response, max_deviation)
         self._at_once = self._periods == 1.0
+        self._later = KinematicStep(solver, max(HORIZON, dt), response)
         self._attempts = [SlowAttempt(fraction, max_deviation) for fraction in _FRACTIONS]
         if response.immediate and solver.robot.pose_tolerance is not None:
             self._attempts.append(SlowAttempt(_FRACTIONS[0], _MOST_DEVIATION * max_deviation))
@@ -76,12 +81,15 @@ class TimeScalingFilter(FeasibilityFilter):
             if unsolved.size:
                 period = _slowed(period, unsolved, attempt.fraction * planned[unsolved])
                 unsolved = self._try(attempt, period, whole, command, unsolved)
-        if unsolved.size:
-            if self._at_once:
-                command[unsolved] = 0.0
-            fraction = 0.0 if self._at_once else _STUCK
-            period = _slowed(period, unsolved, fraction * planned[unsolved])
-        return self._moved(period, command, failed, move, allow_reconfiguration=False)
+        if not (unsolved.size and self._at_once):
+            period = _slowed(period, unsolved, _STUCK * planned[unsolved])
+            return self._moved(period, command, failed, move, allow_reconfiguration=False)
+        period = _slowed(period, unsolved, 0.0 * planned[unsolved])
+        command[unsolved], joints = self._catch_up(period, unsolved)
+        period = self._moved(period, command, failed, move, allow_reconfiguration=False)
+        assert period.move is not None
+        period.move.arm.joint_positions[unsolved] = joints
+        return period
 
     def _try(
         self, attempt: SlowAttempt, period: Period, whole: Period, command: Array, rows: Rows
@@ -111,6 +119,33 @@ class TimeScalingFilter(FeasibilityFilter):
         solved = feasible.any(axis=1)
         command[rows[solved]] = tries[solved, best[solved]]
         return rows[~solved]
+
+    def _catch_up(self, period: Period, rows: Rows) -> tuple[Array, Array]:
+        """Return base commands, (m, a), and joints, (m, j), toward the resting EE of some rows.
+
+        The base rests or moves as little as it has to, also toward less error of an arm with a pose
+        tolerance. Where no arm can be at the EE half a second later, or would touch something on
+        the way, base and arm hold.
+        """
+        m, slowest_first = len(rows), self.candidates[::-1]
+        tries = np.vstack([np.zeros_like(slowest_first[:1]), slowest_first])
+        k, tries = len(tries), np.tile(tries, (m, 1, 1))
+        if period.velocity_constraints is not None:
+            tries = period.velocity_constraints.of(rows).hold(tries)
+        inputs, held = period.of(rows.repeat(k)), period.of(rows)
+        moves, good = self._tried(tries.reshape(m * k, -1), inputs, np.inf, self._later)
+        errors = np.maximum(moves.arm.position_error, self.max_deviation)
+        best = np.where(good, errors, np.inf).reshape(m, k).argmin(axis=1)
+        later = moves.arm.joint_positions.reshape(m, k, -1)[np.arange(m), best]
+        displacement = joint_displacement(self._robot, held.joints, later)
+        periods = (np.abs(displacement) / self._step.max_joint_step).max(axis=1).clip(min=1.0)
+        joints = held.joints + displacement / periods[:, np.newaxis]
+        able = good.reshape(m, k).any(axis=1) & self._step.solver.admissible(joints)
+        if held.solids is not None:
+            collision = self._step.solver.collision
+            able &= ~collides(collision, joints, held.base_pose, held.solids).any(axis=1)
+        able = able[:, np.newaxis]
+        return np.where(able, tries[np.arange(m), best], 0.0), np.where(able, joints, held.joints)
 
 
 def _slowed(period: Period, rows: Rows, time_scale: Array) -> Period:

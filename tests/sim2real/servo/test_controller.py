@@ -147,6 +147,18 @@ def test_time_scaling_waits_at_the_end_of_the_reach():
     assert outcome.time_scale[0] == 1.0
 
 
+def test_the_arm_catches_up_with_a_resting_ee_after_a_jump_of_the_localisation():
+    walk, jumps = {"drift": 0.0, "turn_drift": 0.0}, {"jump": 0.08, "turn_jump": 0.05, "rate": 1}
+    controller, clock, loop = begin([PluginSpec("localisation", {**walk, **jumps})])
+    outcomes = []
+    for _ in range(400):
+        controller.set_twist(np.zeros(6))
+        outcomes.append(step(clock, loop))
+        assert not outcomes[-1].joint_jump[0]
+    feasible = np.array([outcome.feasible[0] for outcome in outcomes])
+    assert 0.8 < feasible.mean() < 1.0
+
+
 def columns(poses):
     """Return poses (k, 7) with two columns of rotation matrices, neither of length one, (k, 9)."""
     matrices = spatial.rotation(poses).as_matrix()
