@@ -64,8 +64,8 @@ def train(  # noqa: PLR0913, PLR0917 - each option is an argument
     with --init as well finetune_physics. Settings: every key of the recipe, such as
     learner.batch_size=256. train_physics begins in the analytic world.
 
-    A resumed run equals one that was never interrupted. Only in PyBullet, with several processes,
-    and with path_planner, episodes in progress restart.
+    With --steps, a resumed run equals one that was never interrupted. Only in PyBullet, with
+    several processes, and with path_planner, episodes in progress restart.
 
     Example: kinfeas train --robot pr2 --minutes 3 --out runs/pr2
 
