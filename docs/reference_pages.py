@@ -72,7 +72,7 @@ def _leaves(name: str, command: Any) -> Iterator[tuple[str, Any]]:
 def _option(parameter: Any, context: Any) -> tuple[str, str, str]:
     record = parameter.get_help_record(context) or ("", "")
     text, _, extra = str(record[1]).partition("  [")
-    found = re.search(r"default: (.*?)(?:;|\])", extra)
+    found = re.search(r"default: (.*?)(?:; (?:required|[x\d])|\])", extra)
     default = found.group(1).strip("()") if found else ""
     return f"`{record[0]}`", text, "required" if parameter.required else default
 

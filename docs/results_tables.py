@@ -40,7 +40,7 @@ LEARNED = {
     ("pretrained", "feasibility filter"): "pretrained, feasibility filter",
     PLANNED: "pretrained, path planner",
 }
-"""Rows of learned policies in docs/results.md."""
+"""Rows of learned policies in docs/reference/tables.md."""
 PHYSICS = {
     ("pretrained", "head_start"): "{}, 3 s head start",
     ("pretrained", ""): "{}",

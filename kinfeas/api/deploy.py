@@ -227,8 +227,9 @@ def _goal_task(
     goal = (0.0, 0.0, 0.0) if goal is None else goal
     if rpy is not None and quaternion is not None:
         raise KinfeasError("'rpy' and 'quaternion' exclude each other")
-    default = "linear" if config.scene is None else "whole_body"
-    motion = MotionSpec(generator or default, config.generator)
+    if generator is None:
+        generator = "linear" if config.scene is None else "whole_body"
+    motion = MotionSpec(text_of(generator, "generator"), config.generator)
     position = _listed(Vector, goal, "goal")
     if quaternion is not None:
         return make_goal_task(position, _listed(Quaternion, quaternion, "quaternion"), motion)
