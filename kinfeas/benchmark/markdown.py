@@ -148,10 +148,12 @@ def _entries(cells: Mapping[str, Cell], tasks: Sequence[str], entry: Entry) -> l
     return [entry(cells[task]) if task in cells else NOTHING for task in tasks]
 
 
-def _percent(success: float | None, within: float | None) -> str:
-    if success is None or within is None:
+def _percent(*values: float | None) -> str:
+    """Return the first fraction in percent, with the others in brackets."""
+    if None in values:
         return NOTHING
-    return f"{100 * success:.1f} ({100 * within:.1f})"
+    first, *others = (f"{100 * value:.1f}" for value in values if value is not None)
+    return f"{first} ({' - '.join(others)})"
 
 
 def _measured(cell: Cell) -> str:
@@ -171,18 +173,12 @@ def _of_analytic(cell: Cell) -> str:
     return _percent(cell.analytic_success, cell.analytic_within_5cm)
 
 
-def _interval(value: float | None, low: float | None, high: float | None) -> str:
-    if value is None or low is None or high is None:
-        return NOTHING
-    return f"{100 * value:.1f} ({100 * low:.1f} - {100 * high:.1f})"
-
-
 def _ceiling(cell: Cell) -> str:
-    return _interval(cell.ceiling, cell.ceiling_low, cell.ceiling_high)
+    return _percent(cell.ceiling, cell.ceiling_low, cell.ceiling_high)
 
 
 def _done(cell: Cell) -> str:
-    return _interval(cell.task_success, cell.task_success_low, cell.task_success_high)
+    return _percent(cell.task_success, cell.task_success_low, cell.task_success_high)
 
 
 def _collisions(cell: Cell) -> str:
