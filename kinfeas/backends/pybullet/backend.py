@@ -16,6 +16,8 @@ from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import Array
 from kinfeas.scenes.scene import Scene
 
+_TOUCH = 1e-3  # m, largest distance of a contact
+
 
 class PyBulletBackend(PhysicsBackend):
     """n robots, each in a PyBullet world of its own; arguments as in `PhysicsBackend`."""
@@ -92,15 +94,22 @@ class PyBulletBackend(PhysicsBackend):
 
     def object_motion(self, row: int, name: str) -> tuple[Array, float]:
         """Return pose (7,) and linear speed (m/s) of the root link of an object."""
-        return self._furniture(row).motion(name)
+        furniture, physics = self._furniture(row), self.sims[row].physics
+        velocity, _ = physics.client.getBaseVelocity(furniture.bodies[name])
+        pose = physics.link_pose(*furniture.link(name, furniture.scene.objects[name].urdf.root))
+        return pose, float(np.linalg.norm(velocity))
 
     def object_joint(self, row: int, name: str, joint: str) -> float:
         """Return the position of an object's joint, rad or m."""
-        return self._furniture(row).joint_position(name, joint)
+        furniture, client = self._furniture(row), self.sims[row].physics.client
+        return client.getJointState(furniture.bodies[name], furniture.joints[name][joint])[0]
 
     def is_on(self, row: int, name: str, below: str, steepest: float) -> bool:
         """Return whether an object is on another one, as in `PhysicsBackend`."""
-        return self._furniture(row).is_on(name, below, steepest)
+        bodies, client = self._furniture(row).bodies, self.sims[row].physics.client
+        points = client.getContactPoints(bodyA=bodies[name], bodyB=bodies[below])
+        # The contact normal points from the other object to this one.
+        return any(point[8] <= _TOUCH and point[7][2] >= steepest for point in points)
 
     def holds(self, row: int, name: str) -> bool:
         """Return whether the gripper holds an object."""

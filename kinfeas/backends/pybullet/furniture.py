@@ -4,11 +4,8 @@ import numpy as np
 
 from kinfeas.backends.pybullet.physics import Physics
 from kinfeas.core.solids import Solids
-from kinfeas.core.spatial import Array
 from kinfeas.scenes.objects import free_joints
 from kinfeas.scenes.scene import Scene
-
-_TOUCH = 1e-3  # m, largest distance of a contact
 
 
 class Furniture:
@@ -17,6 +14,7 @@ class Furniture:
     Attributes:
         scene: Poses and joint positions at the next reset.
         bodies: PyBullet's numbers of the objects, by name.
+        joints: Those of their joints, by the names of object and joint.
     """
 
     def __init__(self, physics: Physics, scene: Scene) -> None:
@@ -25,7 +23,7 @@ class Furniture:
             name: physics.load(item.urdf_path, fixed=item.fixed)
             for name, item in scene.objects.items()
         }
-        self._joints = {name: physics.joints(body) for name, body in self.bodies.items()}
+        self.joints = {name: physics.joints(body) for name, body in self.bodies.items()}
         self._links = {name: physics.links(body) for name, body in self.bodies.items()}
         self.apply_step_time()
         self.place()
@@ -34,7 +32,7 @@ class Furniture:
         """Set joint friction again: PyBullet keeps impulses, which depend on the step time."""
         for name, item in self.scene.objects.items():
             for joint in free_joints(item.urdf).values():
-                number = self._joints[name][joint.name]
+                number = self.joints[name][joint.name]
                 self._physics.client.setJointMotorControl2(
                     self.bodies[name], number, self._physics.client.VELOCITY_CONTROL,
                     targetVelocity=0.0, force=joint.friction,
@@ -43,7 +41,7 @@ class Furniture:
     def place(self) -> None:
         """Place all objects as in the scene, at rest."""
         for name, item in self.scene.objects.items():
-            body, joints = self.bodies[name], self._joints[name]
+            body, joints = self.bodies[name], self.joints[name]
             self._physics.place(body, item.pose)
             for joint, position in item.joint_positions.items():
                 self._physics.client.resetJointState(body, joints[joint], position, 0.0)
@@ -51,24 +49,6 @@ class Furniture:
     def link(self, name: str, link: str) -> tuple[int, int]:
         """Return PyBullet's numbers of an object and of one of its links."""
         return self.bodies[name], self._links[name][link]
-
-    def joint_position(self, name: str, joint: str) -> float:
-        """Return the position of an object's joint, rad or m."""
-        number = self._joints[name][joint]
-        return self._physics.client.getJointState(self.bodies[name], number)[0]
-
-    def motion(self, name: str) -> tuple[Array, float]:
-        """Return pose (7,) and linear speed (m/s) of the root link of an object."""
-        velocity, _ = self._physics.client.getBaseVelocity(self.bodies[name])
-        pose = self._physics.link_pose(*self.link(name, self.scene.objects[name].urdf.root))
-        return pose, float(np.linalg.norm(velocity))
-
-    def is_on(self, name: str, below: str, steepest: float) -> bool:
-        """Return whether an object is on another one, as in `PhysicsBackend`."""
-        body, other = self.bodies[name], self.bodies[below]
-        points = self._physics.client.getContactPoints(bodyA=body, bodyB=other)
-        # The contact normal points from the other object to this one.
-        return any(point[8] <= _TOUCH and point[7][2] >= steepest for point in points)
 
 
 class SolidBodies:
