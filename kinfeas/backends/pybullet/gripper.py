@@ -106,12 +106,13 @@ class Grasp:
     rigid grasp, the force at a closed door would be unbounded.
 
     Attributes:
+        gripper: The fingers.
         held: Numbers of body and link; None for nothing.
         force: Size of its force in the last physics step, N.
     """
 
     def __init__(self, body: RobotBody, gripper: GripperDrive) -> None:
-        self._physics, self._gripper = body.physics, gripper
+        self._physics, self.gripper = body.physics, gripper
         self._hand = (body.body, body.links[body.robot.ee_frame])
         self._tip = tool_pose(body.robot)
         self._ends: list[tuple[tuple[int, int], Array]] = []
@@ -123,7 +124,7 @@ class Grasp:
 
         If not `rigid`, the link can turn in the hand.
         """
-        if self._gripper.touching(body, link) != {0, 1}:
+        if self.gripper.touching(body, link) != {0, 1}:
             return False
         self.held = (body, link)
         tip = compose(self._physics.link_pose(*self._hand), self._tip)
@@ -131,7 +132,7 @@ class Grasp:
         ends, mass_pose = (self._hand, self.held), self._physics.mass_pose
         self._ends = [(end, relative(points, mass_pose(*end))) for end in ends]
         # If both fingers kept squeezing, the difference of their forces would load the grasp.
-        self._gripper.relax()
+        self.gripper.relax()
         return True
 
     def drive(self) -> None:

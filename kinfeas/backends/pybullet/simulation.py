@@ -19,8 +19,7 @@ class Simulation:
         body: The robot in it.
         furniture: Objects of the scene; None without one.
         solids: Solids around the robot.
-        gripper: The robot's gripper; None if its YAML has none.
-        grasp: Grasp of the gripper; None without one.
+        grasp: Grasp of the robot's gripper; None if its YAML has none.
     """
 
     def __init__(
@@ -41,8 +40,8 @@ class Simulation:
         self.solids = SolidBodies(self.physics)
         self.body = RobotBody(self.physics, robot)
         self._base, self._arm = BaseDrive(self.body), ArmDrive(self.body)
-        self.gripper = GripperDrive(self.body, robot.gripper) if robot.gripper else None
-        self.grasp = Grasp(self.body, self.gripper) if self.gripper else None
+        gripper = GripperDrive(self.body, robot.gripper) if robot.gripper else None
+        self.grasp = Grasp(self.body, gripper) if gripper else None
         self.body.note_dynamics()
         self._handled: tuple[int, int] | None = None
         if grasped is not None and self.furniture is not None:
@@ -56,8 +55,6 @@ class Simulation:
         Solids are removed.
         """
         with self.physics.connected():
-            if self.grasp is not None:
-                self.grasp.release()
             self.solids.clear()  # the saved state is without them
             self.physics.restore()
             if self.furniture is not None:
@@ -66,22 +63,23 @@ class Simulation:
             self.physics.look_at(base_pose)
             self._base.reset()
             self._closing = False
-            if self.gripper is not None:
-                self.gripper.reset()
+            if self.grasp is not None:
+                self.grasp.release()
+                self.grasp.gripper.reset()
                 if self._handled is not None:
-                    self.gripper.move("open")
+                    self.grasp.gripper.move("open")
 
     def grip(self, grip: Grip) -> None:
         """Start to close or open the gripper.
 
         While it closes, it grasps the link that it can hold once both fingers touch it.
         """
-        if self.gripper is None or self.grasp is None:
+        if self.grasp is None:
             return
         self._closing = grip == "close"
         if not self._closing:
             self.grasp.release()
-        self.gripper.move(grip)
+        self.grasp.gripper.move(grip)
 
     def scale_dynamics(self, mass: float, friction: float, motor_gain: float) -> None:
         """Multiply masses and frictions of the robot, and the gains of the arm's motors."""
@@ -94,17 +92,17 @@ class Simulation:
         with self.physics.connected():
             before, steps = self.physics.step_time, self.physics.divide(dt)
             if self.physics.step_time != before:
-                for part in (self.furniture, self.gripper):
-                    if part is not None:
-                        part.apply_step_time()
+                if self.furniture is not None:
+                    self.furniture.apply_step_time()
+                if self.grasp is not None:
+                    self.grasp.gripper.apply_step_time()
             self._base.command(base_twist, dt)
             self._arm.command(joint_targets, steps)
             for step in range(steps):
                 self._base.drive()
                 self._arm.drive(step)
-                if self.gripper is not None:
-                    self.gripper.drive()
                 if self.grasp is not None:
+                    self.grasp.gripper.drive()
                     self.grasp.drive()
                 self.physics.client.stepSimulation()
             if self.grasp is not None:
