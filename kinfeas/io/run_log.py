@@ -6,7 +6,6 @@ import logging
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
-from io import StringIO
 from pathlib import Path
 from typing import Annotated, TextIO
 
@@ -124,9 +123,10 @@ class Recorder:
         self.path, self._begun, self._on_moment = path, False, on_moment
         with writing(path):
             self._file: TextIO = path.open("x", encoding="utf-8", newline="", buffering=1)
+            self._rows = csv.writer(self._file, lineterminator="\n")
             try:
-                header = _line(_names(about.joints))
-                self._file.write(f"# {_FORMAT} {json.dumps(asdict(about), default=str)}\n{header}")
+                self._file.write(f"# {_FORMAT} {json.dumps(asdict(about), default=str)}\n")
+                self._rows.writerow(_names(about.joints))
             except OSError:
                 self._end()
                 raise
@@ -143,7 +143,7 @@ class Recorder:
         age = "" if np.isnan(moment.age) else f"{moment.age:.4f}"
         rest = [str(int(moment.feasible)), str(moment.subgoal), " ".join(moment.event.split())]
         with writing(self.path):
-            self._file.write(_line([f"{moment.time:.4f}", age, *numbers, *rest]))
+            self._rows.writerow([f"{moment.time:.4f}", age, *numbers, *rest])
         self._begun = True
         if self._on_moment is not None:
             with plugin_note("on_moment"):  # errors are not those of a backend that calls this
@@ -226,9 +226,3 @@ def _names(joints: Sequence[str]) -> list[str]:
     }  # fmt: skip
     names = [f"{group}.{name}" for group, members in groups.items() for name in members]
     return ["time", "age", *names, "feasible", "subgoal", "event"]
-
-
-def _line(entries: Sequence[str]) -> str:
-    text = StringIO()
-    csv.writer(text, lineterminator="\n").writerow(entries)
-    return text.getvalue()
