@@ -1,6 +1,5 @@
 """Plans of base and arm along EE paths, and their files."""
 
-import csv
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,7 +20,7 @@ from kinfeas.control.observation import HORIZON
 from kinfeas.control.subgoal_motions import LONGEST, begin_motions
 from kinfeas.core.checks import ee_poses
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.files import check_new, read_csv, replacing
+from kinfeas.core.files import check_new, read_csv, write_csv
 from kinfeas.core.quantities import FARTHEST
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import (
@@ -83,10 +82,8 @@ class Plan(Moments):
         check_new(path)
         names = ["time", *_BASE, *_joint_columns(self.robot), *columns("ee_pose")]
         table = np.column_stack([self.time, self.base, self.joint_positions, self.ee_pose])
-        with replacing(Path(path)) as fresh, fresh.open("w", newline="", encoding="utf-8") as file:
-            rows = csv.writer(file, lineterminator="\n")
-            rows.writerow(names)
-            rows.writerows([[f"{value:.9g}" for value in row] for row in table.tolist()])
+        rows = [[f"{value:.9g}" for value in row] for row in table.tolist()]
+        write_csv(Path(path), names, rows)
 
     def joint_trajectory(self) -> dict[str, object]:
         """Return the arm motion as plain data, in the form of trajectory_msgs/JointTrajectory."""

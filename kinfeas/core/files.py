@@ -1,4 +1,4 @@
-"""Files and folders: reading of CSV and JSON, atomic writing, locks, errors with paths."""
+"""Files and folders: CSV and JSON, atomic writing, locks, errors with paths."""
 
 import csv
 import errno
@@ -8,7 +8,7 @@ import json
 import os
 import shutil
 import stat
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory, TemporaryFile
@@ -105,6 +105,12 @@ def _read_rows(path: Path) -> tuple[Sequence[str], list[dict[Any, Any]]]:
         if any(row.get(None, ())):  # entries beyond the header
             raise KinfeasError(f"{path}, row {i + 1}: has more entries than the header")
     return names, rows
+
+
+def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Write a CSV file atomically; raise KinfeasError if it cannot be written."""
+    with replacing(path) as fresh, fresh.open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file, lineterminator="\n").writerows([columns, *rows])
 
 
 def read_json(path: Path) -> dict[str, object]:

@@ -1,6 +1,5 @@
 """Recorded demonstrations of an EE, a base and an object, in CSV files."""
 
-import csv
 import logging
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -10,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinfeas.core.errors import KinfeasError
-from kinfeas.core.files import read_csv, replacing
+from kinfeas.core.files import read_csv, write_csv
 from kinfeas.core.quantities import LONGEST, REMOTEST
 from kinfeas.core.spatial import POSE_COLUMNS, UNIT, Array
 
@@ -82,10 +81,8 @@ def write_demonstration(demonstration: Demonstration, path: Path) -> None:
     names = [name for name in _POSES if demonstration.has_base or name != "base_pose"]
     poses = {name: getattr(demonstration, name) for name in names}
     check_samples(path, demonstration.time, poses)
-    with replacing(path) as fresh, fresh.open("w", newline="", encoding="utf-8") as file:
-        rows = csv.writer(file, lineterminator="\n")
-        rows.writerow(["time", *(name for pose in names for name in columns(pose))])
-        rows.writerows(np.column_stack([demonstration.time, *poses.values()]).tolist())
+    header = ["time", *(name for pose in names for name in columns(pose))]
+    write_csv(path, header, np.column_stack([demonstration.time, *poses.values()]).tolist())
 
 
 def columns(pose: str | None = None) -> list[str]:
