@@ -13,12 +13,10 @@ from kinfeas.cli import options
 from kinfeas.cli.options import option
 from kinfeas.cli.output import print_facts, run_status, write_json
 from kinfeas.core.errors import KinfeasError
+from kinfeas.core.quantities import Quaternion, Vector
 
 if TYPE_CHECKING:
     from kinfeas.api.deploy import Deployment
-
-Three = tuple[float, float, float]
-Four = tuple[float, float, float, float]
 
 
 def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
@@ -28,9 +26,11 @@ def deploy(  # noqa: PLR0913, PLR0917 - each option is an argument
         None, "In place of policy and goal: a file of kinfeas plan.", metavar="FILE.csv"
     ),
     backend: options.RobotBackend = None,
-    goal: Three | None = option(None, "EE goal in the world frame, metres.", metavar="X Y Z"),
-    rpy: Three | None = option(None, "Orientation, rad.  [default: unchanged]", metavar="R P Y"),
-    quaternion: Four | None = option(None, "Goal orientation as a quaternion.", metavar="X Y Z W"),
+    goal: Vector | None = option(None, "EE goal in the world frame, metres.", metavar="X Y Z"),
+    rpy: Vector | None = option(None, "Orientation, rad.  [default: unchanged]", metavar="R P Y"),
+    quaternion: Quaternion | None = option(
+        None, "Goal orientation as a quaternion.", metavar="X Y Z W"
+    ),
     generator: str | None = option(
         None, "Motion generator.  [default: linear; with a scene whole_body]"
     ),

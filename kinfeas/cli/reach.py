@@ -18,9 +18,9 @@ from kinfeas.cli.output import (
 )
 from kinfeas.core.errors import KinfeasError
 from kinfeas.core.files import check_new
+from kinfeas.core.quantities import Vector
 
 Pose = tuple[float, float, float, float, float, float]
-Planar = tuple[float, float, float]
 _COLUMNS = [" x, m", " y, m", " yaw, rad", " margin", " joints", " manip.", " clear, m"]
 START = "Base pose now: m, m, rad."
 
@@ -32,7 +32,7 @@ def reach(  # noqa: PLR0913, PLR0917 - each option is an argument
     ),
     poses: Path | None = option(None, "EE poses, as of the generator waypoints.", metavar="FILE"),
     scene: str | None = option(None, "Scene by name or YAML file, whose objects are avoided."),
-    start: Planar | None = option(None, START, metavar="X Y YAW"),
+    start: Vector | None = option(None, START, metavar="X Y YAW"),
     count: int = option(8, "Most base poses for each EE pose.", "-k", min=1, max=512),
     together: bool = option(False, "One base pose for all EE poses.", "--together"),
     json: options.JsonPath = None,
@@ -89,7 +89,7 @@ def plan(  # noqa: PLR0913, PLR0917 - each option is an argument
     path: Path = option(..., "EE poses, as of the generator waypoints.", metavar="FILE"),
     out: Path = file_option(..., "New file of the plan.", ".csv"),
     scene: str | None = option(None, "Scene by name or YAML file, whose objects are avoided."),
-    start: Planar | None = option(
+    start: Vector | None = option(
         None,
         f"{START} The arm is at home.  [default: a base pose near the path]",
         metavar="X Y YAW",
