@@ -2,8 +2,9 @@
 
 import shlex
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -18,7 +19,6 @@ from kinfeas.core.extras import require
 
 if TYPE_CHECKING:
     from kinfeas.evaluation.evaluate import Summary
-    from kinfeas.jobs.job import Job, Result
 
 
 _LISTED = 6  # numbers of failed episodes that the table shows
@@ -227,11 +227,8 @@ def benchmark(  # noqa: PLR0913, PLR0917 - each option is an argument
         raise KinfeasError("--policy and --runs exclude each other")
     backend = worlds[0] if physics and not config else None
     own = {"backend": backend, "policies": policy, "episodes": episodes}
-
-    def run_jobs(jobs: "Sequence[Job]", kind: str) -> "list[Result]":
-        return options.run_jobs(jobs, kind, engine, processes, address)
-
     settings = options.read_settings(overrides, own)
+    run_jobs = partial(options.run_jobs, engine=engine, processes=processes, address=address)
     try:
         study, trained, cases = run_benchmark(name, settings, worlds, runs or [], out, run_jobs)
     except KeyboardInterrupt:
