@@ -168,7 +168,7 @@ def deploy(setup: Setup, recorder: Recorder) -> RunOutcome:
 
 
 class _Run:
-    def __init__(self, setup: Setup, recorder: Recorder, executor: Executor | None) -> None:
+    def __init__(self, setup: Setup, recorder: Recorder, executor: Executor) -> None:
         self.setup, self.recorder = setup, recorder
         self.robot, self.clock = setup.solver.robot, setup.clock
         self.rate = Rate(setup.dt, self.clock, waits=setup.real_time and not setup.live)
@@ -178,12 +178,11 @@ class _Run:
         )  # fmt: skip
         # Without a clock, planners run in the loop, so that runs are repeatable.
         self.timed = setup.real_time or setup.live
-        executor = executor if self.timed else None
         self.loop = assemble(
             setup.solver, build_subgoals(setup.task.subgoals), self.guarded, dt=setup.dt,
             execution=setup.config, filters=(*setup.leading, *setup.config.filters),
             policy=setup.policy, stream=target_stream(setup.task, setup.solver),
-            executor=executor,
+            executor=executor if self.timed else None,
         )  # fmt: skip
         self.loop.finds_collisions = False  # nothing here asks for them
         self.rate.prepare = self.prepare
