@@ -279,7 +279,9 @@ def make_setup(  # noqa: PLR0913 - the parts of a run
     seconds: float,
     adapters: tuple[PluginSpec, ...] = (),
     inner: tuple[PluginSpec, ...] = (),
-    **options: Any,
+    leading: tuple[CommandFilter, ...] = (),
+    seed: int = 0,
+    real_time: bool = True,
 ) -> Setup:
     """Return the parts of a run: kernels are compiled, and the backend is connected.
 
@@ -301,13 +303,14 @@ def make_setup(  # noqa: PLR0913 - the parts of a run
                     f"adapters rehearse in simulated worlds; {backend_name!r} is a robot, "
                     "whose lag goes into the section 'response' of its robot.yaml"
                 )
-            if not options.get("real_time", True):
+            if not real_time:
                 raise KinfeasError(f"backend {backend_name!r} is always in real time")
         if backend.staging is not None:
             task = backend.staging.stage(task)
         return Setup(
             solver=solver, policy=policy, task=task, config=config, adapters=adapters, dt=dt,
-            backend=with_adapters(backend, inner, robot), solids=solids, seconds=seconds, **options,
+            backend=with_adapters(backend, inner, robot), solids=solids, seconds=seconds,
+            leading=leading, seed=seed, real_time=real_time,
         )  # fmt: skip
 
 
