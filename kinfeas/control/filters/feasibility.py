@@ -92,15 +92,12 @@ class FeasibilityFilter:
 
         Rows without a feasible candidate are returned.
         """
-        constraints = period.velocity_constraints
         distances = np.linalg.norm(self.candidates - command[rows, np.newaxis], axis=2)
         order = distances.argsort(axis=1, kind="stable")
         for first, last in _ROUNDS:
             if not rows.size:
                 break
-            tries = self.candidates[order[:, first:last]]
-            if constraints is not None:
-                tries = constraints.of(rows).hold(tries)
+            tries = allowed(self.candidates[order[:, first:last]], period, rows)
             feasible = self._feasible(period, tries, rows, max_deviation)
             solved = feasible.any(axis=1)
             command[rows[solved]] = tries[solved, feasible[solved].argmax(axis=1)]
@@ -128,6 +125,12 @@ class FeasibilityFilter:
         if inputs.solids is not None:
             good &= ~base_collides(step.solver.collision, move.base_pose, inputs.solids)
         return move, good
+
+
+def allowed(tries: Array, period: Period, rows: Rows) -> Array:
+    """Return commands of m rows, shape (m, k, a), that keep the velocity constraints."""
+    constraints = period.velocity_constraints
+    return tries if constraints is None else constraints.of(rows).hold(tries)
 
 
 def replaced(move: Move, rows: Rows, retried: Move, command: Array) -> Move:

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinfeas.control.filters.feasibility import HORIZON, FeasibilityFilter
+from kinfeas.control.filters.feasibility import HORIZON, FeasibilityFilter, allowed
 from kinfeas.control.period import KinematicStep, Period
 from kinfeas.core.motion import Rows, with_rows
 from kinfeas.core.quantities import NotNegative
@@ -81,14 +81,15 @@ class TimeScalingFilter(FeasibilityFilter):
             if unsolved.size:
                 period = _slowed(period, unsolved, attempt.fraction * planned[unsolved])
                 unsolved = self._try(attempt, period, whole, command, unsolved)
-        if not (unsolved.size and self._at_once):
-            period = _slowed(period, unsolved, _STUCK * planned[unsolved])
-            return self._moved(period, command, failed, move, allow_reconfiguration=False)
-        period = _slowed(period, unsolved, 0.0 * planned[unsolved])
-        command[unsolved], joints = self._catch_up(period, unsolved)
+        joints = period.joints[unsolved]
+        if unsolved.size:
+            fraction = 0.0 if self._at_once else _STUCK
+            period = _slowed(period, unsolved, fraction * planned[unsolved])
+            if self._at_once:
+                command[unsolved], joints = self._catch_up(period, unsolved)
         period = self._moved(period, command, failed, move, allow_reconfiguration=False)
-        assert period.move is not None
-        period.move.arm.joint_positions[unsolved] = joints
+        if period.move is not None:
+            period.move.arm.joint_positions[unsolved] = joints
         return period
 
     def _try(
@@ -108,9 +109,7 @@ class TimeScalingFilter(FeasibilityFilter):
         the policy's command, a base might rest for ever. Rows without a feasible one are returned.
         """
         m, k = len(rows), len(self.candidates)
-        tries = np.tile(self.candidates, (m, 1, 1))
-        if period.velocity_constraints is not None:
-            tries = period.velocity_constraints.of(rows).hold(tries)
+        tries = allowed(np.tile(self.candidates, (m, 1, 1)), period, rows)
         feasible = self._feasible(period, tries, rows, self.max_deviation)
         ends = whole.of(rows.repeat(k))
         arm = self._tried(tries.reshape(m * k, -1), ends, self.max_deviation)[0].arm
@@ -127,25 +126,25 @@ class TimeScalingFilter(FeasibilityFilter):
         tolerance. Where no arm can be at the EE half a second later, or would touch something on
         the way, base and arm hold.
         """
-        m, slowest_first = len(rows), self.candidates[::-1]
-        tries = np.vstack([np.zeros_like(slowest_first[:1]), slowest_first])
-        k, tries = len(tries), np.tile(tries, (m, 1, 1))
-        if period.velocity_constraints is not None:
-            tries = period.velocity_constraints.of(rows).hold(tries)
-        inputs, held = period.of(rows.repeat(k)), period.of(rows)
-        moves, good = self._tried(tries.reshape(m * k, -1), inputs, np.inf, self._later)
+        rest, slowest_first = np.zeros_like(self.candidates[:1]), self.candidates[::-1]
+        tries = np.tile(np.vstack([rest, slowest_first]), (len(rows), 1, 1))
+        tries = allowed(tries, period, rows)
+        m, k, size = tries.shape
+        inputs, now = period.of(rows.repeat(k)), period.of(rows)
+        moves, good = self._tried(tries.reshape(m * k, size), inputs, np.inf, self._later)
         errors = np.maximum(moves.arm.position_error, self.max_deviation)
-        best = np.where(good, errors, np.inf).reshape(m, k).argmin(axis=1)
-        later = moves.arm.joint_positions.reshape(m, k, -1)[np.arange(m), best]
-        displacement = joint_displacement(self._robot, held.joints, later)
+        best = np.where(good, errors, np.inf).reshape(m, k).argmin(axis=1) + k * np.arange(m)
+        later = moves.arm.joint_positions[best]
+        displacement = joint_displacement(self._robot, now.joints, later)
         periods = (np.abs(displacement) / self._step.max_joint_step).max(axis=1).clip(min=1.0)
-        joints = held.joints + displacement / periods[:, np.newaxis]
-        able = good.reshape(m, k).any(axis=1) & self._step.solver.admissible(joints)
-        if held.solids is not None:
+        joints = now.joints + displacement / periods[:, np.newaxis]
+        able = good[best] & self._step.solver.admissible(joints)
+        if now.solids is not None:
             collision = self._step.solver.collision
-            able &= ~collides(collision, joints, held.base_pose, held.solids).any(axis=1)
+            able &= ~collides(collision, joints, now.base_pose, now.solids).any(axis=1)
         able = able[:, np.newaxis]
-        return np.where(able, tries[np.arange(m), best], 0.0), np.where(able, joints, held.joints)
+        command = np.where(able, tries.reshape(m * k, size)[best], 0.0)
+        return command, np.where(able, joints, now.joints)
 
 
 def _slowed(period: Period, rows: Rows, time_scale: Array) -> Period:
