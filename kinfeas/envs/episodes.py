@@ -173,8 +173,8 @@ def workers_alive(processes: int) -> Iterator[None]:
         yield
     except BrokenExecutor as error:
         raise WorkerDiedError(
-            f"one of {processes} worker processes died, as if killed or out of memory; "
-            "try fewer processes"
+            f"one of {processes} worker processes died, as if killed or out of memory, or at the "
+            "import of a script without if __name__ == '__main__'; try fewer processes"
         ) from error
 
 
