@@ -23,7 +23,7 @@ from kinfeas.core.spatial import (
 from kinfeas.kinematics.drive import base_twist, command_size
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolution, IkSolver, spread_configurations
-from kinfeas.kinematics.solids import collides, in_base
+from kinfeas.kinematics.solids import base_collides, collides, in_base
 from kinfeas.planning.proposals import propose
 from kinfeas.robots.robot import joint_displacement
 
@@ -65,6 +65,9 @@ class BeamSettings:
 
 
 SETTINGS = BeamSettings()
+
+_BETWEEN = (0.125, 0.25, 0.375, 0.625, 0.75, 0.875)
+"""Fractions of the time to the next pose at which bases must not touch solids either."""
 
 _CELLS = 1e4  # largest number of cells along an axis, so that indices of cells are exact floats
 _AHEAD, _ASIDE = np.array([[1.0, 1.0, -1.0, -1.0], [1.0, -1.0, 1.0, -1.0]]) * SETTINGS.off_metres
@@ -222,11 +225,14 @@ class BeamExpander:
             solids=None if among is None else in_base(among, base),
         )
         if among is not None:
-            clearance = SETTINGS.base_clearance * solver.options.solid_clearance
-            around = among.wider(clearance, clearance) if clearance else among
-            touches = collides(solver.collision, arm.joint_positions, base, around)
+            touches = collides(solver.collision, arm.joint_positions, base, self._around(among))
             arm.feasible[touches[:, 0]] = False
         return arm
+
+    def _around(self, solids: Solids) -> Solids:
+        """Return the solids that bases must not touch, wider by their clearance."""
+        clearance = SETTINGS.base_clearance * self.solver.options.solid_clearance
+        return solids.wider(clearance, clearance) if clearance else solids
 
     def _passable(
         self, beam: Beam, best: Beam, target: Array, seconds: float, solids: Solids | None
@@ -241,6 +247,12 @@ class BeamExpander:
             self.solver, before.joints + displacement / 2.0, halfway, base, seconds / 4.0, solids
         )
         passed = np.multiply.outer((0.25, 0.75), displacement) + before.joints
+        if solids is not None:
+            around = self._around(solids)
+            for part in _BETWEEN:
+                base = self._driven(before, best.command, part * seconds)
+                touches = base_collides(self.solver.collision, base, around.repeated(len(base)))
+                arm.feasible[touches] = False
         return arm.feasible & self.solver.admissible(passed).all(axis=0)
 
     def _commands(self, beam: Beam, rng: np.random.Generator) -> Array:

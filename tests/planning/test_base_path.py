@@ -6,10 +6,12 @@ import pytest
 from kinfeas.control.observation import HORIZON
 from kinfeas.core.solids import Solids
 from kinfeas.core.spatial import compose, integrate, planar_pose, relative, rotation
+from kinfeas.kinematics.drive import base_twist
 from kinfeas.kinematics.forward import forward
 from kinfeas.kinematics.ik import IkSolver
-from kinfeas.kinematics.solids import collides
+from kinfeas.kinematics.solids import base_collides, collides
 from kinfeas.planning.base_path import BasePathPlanner
+from kinfeas.planning.beam import BeamExpander
 from kinfeas.robots.loading import load_robot
 from kinfeas.robots.robot import joint_displacement
 from tests.builders import assert_near
@@ -130,3 +132,21 @@ def test_paths_keep_a_clearance_from_solids(planned, solver, clearance, speed):
     assert touches(free, 0.0)
     around, _ = planned(twist, solids=solids, clearance=clearance)
     assert not touches(around, clearance)
+
+
+def test_bases_do_not_drive_through_solids_between_poses(solver):
+    robot, seconds, pole, count = solver.robot, 3.0, Solids.empty(1, 1), 0
+    joints, expander = robot.home["home"], BeamExpander(solver)
+    pole.size[0, 0] = 0.01, 0.01, 0.0, 0.4
+    first, target = expander.first(AT_ORIGIN, joints), forward(solver.chain, joints)
+    target[1] -= 0.2
+    for bearing in -np.pi * np.linspace(0.3, 0.7, 21):
+        pole.pose[0, 0] = 0.3 * np.cos(bearing), 0.3 * np.sin(bearing), 0.0
+        beam = expander.moved(first, target, seconds, np.random.default_rng(0), pole)
+        count += len(beam.cost)
+        for part in np.arange(1.0, 8.0) / 8.0:
+            base = AT_ORIGIN[np.newaxis].repeat(len(beam.cost), axis=0)
+            twist = base_twist(robot.base, base, beam.command, part * seconds / 2.0)
+            base = integrate(base, twist, part * seconds)
+            assert not base_collides(solver.collision, base, pole.repeated(len(base))).any()
+    assert count > 20
