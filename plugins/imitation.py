@@ -108,6 +108,7 @@ class GaussianMixture(PathMotion):
         super().__init__(
             path=learned_path(learned),
             duration=learned.duration,
+            position_scale=np.inf,
             max_velocity=max_velocity,
             max_angular_velocity=max_angular_velocity,
         )
