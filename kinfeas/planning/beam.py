@@ -237,7 +237,10 @@ class BeamExpander:
     def _passable(
         self, beam: Beam, best: Beam, target: Array, seconds: float, solids: Solids | None
     ) -> NDArray[np.bool_]:
-        """Return which of the best robots, (m,), also reach the pose halfway to the target."""
+        """Return which of the best robots, (m,), also reach the pose halfway to the target.
+
+        Their bases must not touch solids on the way.
+        """
         before = beam.of(best.parent)
         displacement = joint_displacement(self.robot, before.joints, best.joints)
         first = compose(beam.base[:1], forward(self.solver.chain, beam.joints[:1]))[0]

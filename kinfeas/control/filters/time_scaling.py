@@ -89,7 +89,9 @@ class TimeScalingFilter(FeasibilityFilter):
                 command[unsolved], joints = self._catch_up(period, unsolved)
         period = self._moved(period, command, failed, move, allow_reconfiguration=False)
         if period.move is not None:
-            period.move.arm.joint_positions[unsolved] = joints
+            arm = period.move.arm
+            behind = ~arm.feasible[unsolved]
+            arm.joint_positions[unsolved[behind]] = joints[behind]
         return period
 
     def _try(
@@ -122,9 +124,10 @@ class TimeScalingFilter(FeasibilityFilter):
     def _catch_up(self, period: Period, rows: Rows) -> tuple[Array, Array]:
         """Return base commands, (m, a), and joints, (m, j), toward the resting EE of some rows.
 
-        The base rests or moves as little as it has to, also toward less error of an arm with a pose
-        tolerance. Where no arm can be at the EE half a second later, or would touch something on
-        the way, base and arm hold.
+        The joints are on the way to where the arm is at the EE half a second later. Of the base
+        commands that allow this, rest comes first, then the slowest; for arms with a pose tolerance
+        those with the least error. Where there is none, or the arm would touch something, base and
+        arm hold.
         """
         rest, slowest_first = np.zeros_like(self.candidates[:1]), self.candidates[::-1]
         tries = np.tile(np.vstack([rest, slowest_first]), (len(rows), 1, 1))
